@@ -46,6 +46,8 @@ class Instrument(ABC):
     options_type: ClassVar[type[Options]] = Options  # the `Options` that it takes
     settings: ClassVar[Mapping[str, str]] = NOTHING  # what can be set, with units of measure: ``{"rate": "deg/s"}``
     signals: ClassVar[Mapping[str, str]] = NOTHING  # what it measures, with units of measure
+    faults: Mapping[str, str] = NOTHING  # of the last `sample`: why a signal has no value, while others have theirs
+    notes: Collection[str] = ()  # what people are to know of how it is read
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         self.name, self.options, self.clock = name, options, clock

@@ -17,6 +17,7 @@ Result = TypeVar("Result")
 
 NUMBER = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*"
 _OVERLOAD = 9.9e37  # SCPI-99 7.2.1.4: infinity is 9.9e37, not a number 9.91e37
+_CLOSING_S = 0.05  # within which an instrument closes the connection that does so after each answer
 _MOST_ERRORS = 20  # in its queue; after these the same answer would be repeated endlessly
 
 
@@ -40,6 +41,10 @@ class ScpiOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True
     baud_rate: int | None = None  # of a serial line
     commands: dict[str, str] = msgspec.field(default_factory=dict)  # commands that differ from the default, by name
     answers: dict[str, str] = msgspec.field(default_factory=dict)
+
+
+class UnusableAnswer(InstrumentError):
+    """An answer that gives no value; the connection is in order."""
 
 
 class ScpiAnswer(NamedTuple):
@@ -68,6 +73,7 @@ class ScpiConnection:
         self._line: VisaLine | None = None
         self._is_wanted = False
         self._is_connecting = False
+        self._closes = False  # the connection after an answer: what follows the identity needs another one
         self._lock = threading.RLock()
         self.identity = ""
         self.reconnects = 0
@@ -104,12 +110,12 @@ class ScpiConnection:
         except (ValueError, TypeError, IndexError):
             value = None
         if value is None:
-            raise InstrumentError(
+            raise UnusableAnswer(
                 f"{self.who}: asked {query!r} it answered {_short(answer.text)}, which is not a number; "
                 f"check the query and its answer's pattern in the station file"
             )
         if not abs(value) < _OVERLOAD:
-            raise InstrumentError(
+            raise UnusableAnswer(
                 f"{self.who}: asked {query!r} it answered {_short(answer.text)}: it is overloaded or cannot measure; "
                 f"check its range and its wiring"
             )
@@ -184,11 +190,11 @@ class ScpiConnection:
     def _connect(self) -> None:
         options = self._options
         was_connecting, self._is_connecting = self._is_connecting, True
-        terminations = options.read_termination, options.write_termination
         try:
-            self._line = VisaLine(options.backend, options.resource, options.timeout_s, terminations, options.baud_rate)
+            self._line = self._new_line()
             self._line.discard_greeting()
             self._identify()
+            self._closes = self._line.is_closed(_CLOSING_S)
             if options.check_errors:
                 self._write("*CLS")
             if self._prepare is not None:
@@ -203,6 +209,11 @@ class ScpiConnection:
             ) from error
         finally:
             self._is_connecting = was_connecting
+
+    def _new_line(self) -> VisaLine:
+        options = self._options
+        terminations = options.read_termination, options.write_termination
+        return VisaLine(options.backend, options.resource, options.timeout_s, terminations, options.baud_rate)
 
     def _identify(self) -> None:
         if self._options.identity == "none":
@@ -225,6 +236,9 @@ class ScpiConnection:
     def _write(self, text: str) -> None:
         assert self._line is not None
         try:
+            if self._closes and self._is_connecting and self._line.is_closed(_CLOSING_S):
+                self._disconnect()
+                self._line = self._new_line()
             self._line.write(text)
         except Exception as error:
             self.unasked += isinstance(error, UnaskedLine)

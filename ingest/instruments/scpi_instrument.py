@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from msgspec.structs import asdict
 
 from ingest.instruments.base import NOTHING, Instrument, Reading
-from ingest.instruments.scpi import NUMBER, ScpiConnection, ScpiOptions, checked_pattern
+from ingest.instruments.scpi import NUMBER, ScpiConnection, ScpiOptions, UnusableAnswer, checked_pattern
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 from stream.quantities import check_unit
@@ -64,6 +64,7 @@ class Settling:
 
 
 _FAR_IN_A_ROW = 3
+_RECONNECTED_IN_A_ROW = 3
 _ABSOLUTE_ZERO_DEG_C = -273.15
 
 
@@ -88,6 +89,7 @@ class ScpiInstrument(Instrument):
         answers = {name: options.answers.get(name, NUMBER) for name in self.commands}
         self._patterns = {name: checked_pattern(f"{self.who}: answer {name}", each) for name, each in answers.items()}
         self._settling: dict[str, Settling] = {}
+        self._reconnected = 0  # turns in a row
         self.connection = ScpiConnection(self.who, options, clock, self.prepare)
         self._check_names()
         for what in self.settings:
@@ -159,10 +161,18 @@ class ScpiInstrument(Instrument):
         return self._settling[what].update(reading.t_ns, reading.value)
 
     def sample(self) -> list[Reading]:
-        """Measure every signal once; InstrumentError if an answer may belong to another query."""
-        readings, unasked = [], self.connection.unasked
+        """Measure every signal once; one whose answer gives no value is in `faults`, the others have theirs.
+
+        InstrumentError if none has a value, or an answer may belong to another query.
+        """
+        readings, faults = [], dict[str, str]()
+        unasked, reconnects = self.connection.unasked, self.connection.reconnects
         for signal, query in self.measured_by.items():
-            reading = self._read(query)
+            try:
+                reading = self._read(query)
+            except UnusableAnswer as error:
+                faults[signal] = str(error)
+                continue
             if self.connection.unasked != unasked:
                 raise InstrumentError(
                     f"{self.who} sent a line without a query since it was read last: a value of that turn may be the "
@@ -172,8 +182,22 @@ class ScpiInstrument(Instrument):
                 if self._settled_by[what] == query:
                     settling.update(reading.t_ns, reading.value)
             readings.append(reading._replace(signal=signal))
+        if faults and not readings:
+            raise InstrumentError(next(iter(faults.values())))
+        self.faults = faults
+        self._note_closing(self.connection.reconnects > reconnects)
         self.connection.check_in_step(self.clock.computer_s(self.options.sample_interval_s) / 4)
         return readings
+
+    def _note_closing(self, is_reconnected: bool) -> None:
+        """Note an instrument that has to be connected again turn by turn."""
+        self._reconnected = self._reconnected + 1 if is_reconnected else 0
+        if self._reconnected == _RECONNECTED_IN_A_ROW:
+            note = (
+                f"{self.who} had to be connected again in {self._reconnected} turns in a row: it, or the terminal "
+                "server before it, closes the connection after an answer; its values are kept, and take longer"
+            )
+            self.notes = (note,)
 
     def give(self, name: str, value: float | None = None) -> None:
         """Send the command of this name, unless it is empty."""
@@ -187,7 +211,7 @@ class ScpiInstrument(Instrument):
         value, answer = self.connection.number(text, self._patterns[query])
         is_temperature = any(self.signals[name] == "degC" for name, asked in self.measured_by.items() if asked == query)
         if is_temperature and value < _ABSOLUTE_ZERO_DEG_C:
-            raise InstrumentError(
+            raise UnusableAnswer(
                 f"{self.who}: asked {text!r} it answered {value:g} degC, which is below absolute zero; check its sensor"
             )
         return Reading(query, answer.t_ns, value)

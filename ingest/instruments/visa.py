@@ -55,6 +55,10 @@ class UnaskedLine(ConnectionResetError):
     """A line came without a query."""
 
 
+class LineClosed(ConnectionResetError):
+    """The instrument has closed the connection."""
+
+
 class VisaLine:
     """An open VISA resource; all but `close` raise errors of pyvisa, of the socket, or bare ones of pyvisa-py."""
 
@@ -111,6 +115,14 @@ class VisaLine:
                 return
             self._resource.read(encoding="latin-1")
 
+    def is_closed(self, within_s: float) -> bool:
+        """Whether the instrument has closed the connection, or does so within some time."""
+        try:
+            self._has_more(within_s)
+        except LineClosed:
+            return True
+        return False
+
     def is_in_step(self, most_s: float) -> bool:
         """Whether no further line comes in the time that an answer takes, at most `most_s`.
 
@@ -120,13 +132,13 @@ class VisaLine:
         return not self._has_more(min(max(_LEAST_WAIT_S, _WAIT_TIMES * self._answered_s), most_s))
 
     def _has_more(self, within_s: float) -> bool:
-        """Whether anything comes within some time; ConnectionResetError if the instrument has closed the connection."""
+        """Whether anything comes within some time; LineClosed if the instrument has closed the connection."""
         if self._has_read_more():
             return True
         if self._socket is None or not select.select([self._socket], [], [], within_s)[0]:
             return False
         if not self._socket.recv(1, socket.MSG_PEEK):
-            raise ConnectionResetError("the instrument closed the connection")
+            raise LineClosed("the instrument closed the connection")
         return True
 
     def read(self) -> str:
@@ -136,7 +148,7 @@ class VisaLine:
             if not select.select([self._socket], [], [], self._timeout_s)[0]:
                 raise TimeoutError("no answer")
             if not self._socket.recv(1, socket.MSG_PEEK):
-                raise ConnectionResetError("the instrument closed the connection")
+                raise LineClosed("the instrument closed the connection")
         found = str(self._resource.read(encoding="latin-1"))
         self._answered_s = max(_FORGETS * self._answered_s, time.monotonic() - self._written_s)
         return found

@@ -57,6 +57,8 @@ class Sampler:
         self._next: dict[str, int] = {}
         self._last_ns: dict[str, int] = {}
         self._dt_ns: dict[str, int] = {}  # of traces
+        self._lacking: dict[str, int] = {}  # signals without a value while others have theirs: for how many turns
+        self._noted: set[str] = set()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.samples = self.missed = 0
@@ -93,6 +95,7 @@ class Sampler:
                 with self._lock:
                     readings = self._instrument.sample()
                 self._take(readings)
+                self._report_faults()
             except InstrumentError as error:
                 self._flush()
                 self._wait_for_it(error)
@@ -123,7 +126,25 @@ class Sampler:
                 f"what it would have measured meanwhile is missing"
             )
             self._take(readings)
+            self._report_faults()
             return
+
+    def _report_faults(self) -> None:
+        """Report signals of the last turn that had no value, once until they have one again, and what it notes."""
+        faults = self._instrument.faults
+        for signal, why in faults.items():
+            if signal not in self._lacking:
+                self._report(f"{why}; {signal} is left out until it has a value, other signals are kept")
+            self._lacking[signal] = self._lacking.get(signal, 0) + 1
+        for signal in self._lacking.keys() - faults.keys():
+            turns = self._lacking.pop(signal)
+            self._report(
+                f"{self._who}: {signal} has a value again, {turns} of it {'is' if turns == 1 else 'are'} missing"
+            )
+        for note in self._instrument.notes:
+            if note not in self._noted:
+                self._noted.add(note)
+                self._report(note)
 
     def _take(self, readings: list[Reading]) -> None:
         refused = 0

@@ -1,4 +1,4 @@
-"""A line more than an instrument was asked for shifts all answers behind it: none of them becomes a value."""
+"""Answers that are no values: lines more than asked for, garbled ones, and connections that end after each."""
 
 import socket
 import threading
@@ -22,10 +22,11 @@ class RepeatingSupply:
     def __init__(self, repeats: set[int]) -> None:
         self.repeats = repeats  # which of the voltages
         self.at_once: set[int] = set()  # of the voltages, those that are sent twice in one packet
-        self.greets = False
+        self.greets = self.closes = False
+        self.garbled: set[int] = set()  # which of the currents
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.resource = f"TCPIP::127.0.0.1::{self._listening.getsockname()[1]}::SOCKET"
-        self._voltages = 0
+        self._voltages = self._currents = 0
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self) -> None:
@@ -56,7 +57,10 @@ class RepeatingSupply:
                         threading.Timer(0.02, send, ("12.0\n",)).start()
                 elif line == b"MEAS:CURR?\n":
                     time.sleep(0.05)
-                    send("1.5\n")
+                    self._currents += 1
+                    send("1.\x005#\n" if self._currents in self.garbled else "1.5\n")
+                if self.closes and line != b"*CLS\n":
+                    return
 
     def close(self) -> None:
         self._listening.close()
@@ -125,4 +129,40 @@ def test_a_greeting_after_the_connection_is_no_answer(supply: RepeatingSupply) -
     for _ in range(2):
         assert [each.value for each in instrument.sample()] == [12.0, 1.5]
     assert instrument.connection.reconnects == 0
+    instrument.close()
+
+
+def test_a_garbled_answer_costs_no_other_signal_of_its_turn_a_value(supply: RepeatingSupply) -> None:
+    supply.repeats, supply.garbled = set(), {2}
+    delivered: list[SampleBatch] = []
+    reports: list[str] = []
+    instrument = of(supply, 0.1)
+    instrument.open()
+    sampler = Sampler(instrument, "r1", UUID(int=1), delivered.append, reports.append)
+    sampler.start()
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until and not any("has a value again" in each for each in reports):
+        time.sleep(0.05)
+    sampler.stop()
+    count = {name: sum(len(each) for each in delivered if each.signal == name) for name in instrument.signals}
+    assert count["supply_voltage"] == count["supply_current"] + 1
+    assert len(reports) == 2
+    assert "is not a number" in reports[0]
+    assert "supply_current is left out until it has a value, other signals are kept" in reports[0]
+    assert "supply_current has a value again, 1 of it is missing" in reports[1]
+    instrument.close()
+
+
+def test_an_instrument_that_closes_its_connection_after_each_answer_is_read_and_reported(
+    supply: RepeatingSupply,
+) -> None:
+    """It could not be opened: what follows the identity met a closed connection."""
+    supply.repeats, supply.closes = set(), True
+    instrument = of(supply, 0.5)
+    assert instrument.open() == "X,Y,1,1"
+    for _ in range(3):
+        assert not instrument.notes
+        assert [each.value for each in instrument.sample()] == [12.0, 1.5]
+    (note,) = instrument.notes
+    assert "had to be connected again in 3 turns in a row" in note
     instrument.close()
