@@ -1,6 +1,5 @@
 """The result of a statement as a table, JSON, CSV or a Parquet file."""
 
-import csv
 import itertools
 import sys
 from collections.abc import Iterator
@@ -9,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from storage.sql.printable import csv_cells, printable_batches
+from storage.sql.printable import csv_lines, printable_batches
 from stream.errors import BadInput, GyrofleetError, QueryError
 from stream.files.atomic_file import replacement
-from stream.terminal.console import csv_text, json_text, notes, results, styled
+from stream.terminal.console import json_text, notes, results, styled
 from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
@@ -77,10 +76,11 @@ def _json_chunks(pages: "Iterator[pa.RecordBatch]") -> Iterator[str]:
 
 def print_csv(result: "Result") -> None:
     """Print all rows as CSV, as they come."""
-    writer = csv.writer(sys.stdout)
-    writer.writerow(csv_text(name) for name in result.schema.names)
+    import pyarrow as pa
+
+    sys.stdout.write(csv_lines(pa.array([name], pa.string()) for name in result.schema.names))
     for page in printable_batches(result):
-        writer.writerows(zip(*map(csv_cells, page.columns), strict=True))
+        sys.stdout.write(csv_lines(page.columns))
 
 
 def write_parquet(result: "Result", path: Path) -> None:

@@ -1,7 +1,8 @@
 """The result of a statement in types that JSON, CSV and people can read."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+import re
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 from stream.errors import QueryError
 from stream.terminal.console import csv_text, json_text
@@ -10,6 +11,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from storage.sql.door import Result
+
+_QUOTED = re.compile('[",\r\n]')
 
 
 def printable_batches(result: "Result") -> "Iterator[pa.RecordBatch]":
@@ -31,21 +34,39 @@ def distinct_names(names: list[str]) -> list[str]:
     return [name if names.index(name) == i else f"{name}_{i + 1}" for i, name in enumerate(names)]
 
 
-def csv_cells(column: "pa.Array") -> list[Any]:
-    """Cells of a column for CSV; text that a spreadsheet would take for a formula is led by an apostrophe."""
+def csv_lines(columns: "Iterable[pa.Array]") -> str:
+    r"""Lines of CSV (RFC 4180): nothing between commas is null, ``""`` an empty text, ``nan`` a NaN.
+
+    Text that a spreadsheet would take for a formula is led by an apostrophe.
+
+    >>> import pyarrow as pa
+    >>> csv_lines([pa.array(["a,b", "", None]), pa.array([1.5, float("nan"), None])])
+    '"a,b",1.5\r\n"",nan\r\n,\r\n'
+    """
+    cells = [_csv_cells(column) for column in columns]
+    return "".join(f"{','.join(row)}\r\n" for row in zip(*cells, strict=True))
+
+
+def _csv_cells(column: "pa.Array") -> list[str]:
     import pyarrow as pa
 
     values = column.to_pylist()
-    is_number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    return values if is_number else [_csv_cell(value) for value in values]
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        return ["" if value is None else repr(value) for value in values]
+    return ["" if value is None else _csv_cell(value) for value in values]
 
 
-def _csv_cell(value: object) -> object:
+def _csv_cell(value: object) -> str:
+    text = _csv_text(value)
+    return '"' + text.replace('"', '""') + '"' if text == "" or _QUOTED.search(text) else text
+
+
+def _csv_text(value: object) -> str:
     if isinstance(value, list | dict):
         return csv_text(json_text(value))
     if isinstance(value, str):
         return csv_text(value)
-    return value.hex() if isinstance(value, bytes) else value
+    return value.hex() if isinstance(value, bytes) else str(value)
 
 
 def _printable(name: str, column: "pa.Array") -> "pa.Array":

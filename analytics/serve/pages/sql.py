@@ -59,7 +59,7 @@ def _file(call: Call, statement: str, form: Form) -> Response:
 def _content(call: Call, statement: str, *, is_sent: bool) -> dict[str, Any]:
     result, problem = None, None
     if is_sent:
-        asked = api.SqlAsked(sql=statement, rows=_SHOWN_ROWS, shape="arrays")
+        asked = api.SqlAsked(sql=statement, rows=_SHOWN_ROWS, shape="shown")
         try:
             encoded = api.answered(call, asked).encoded(Form.JSON, _SHOWN_BYTES)
             result = decode_json(encoded.body)

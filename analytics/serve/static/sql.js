@@ -35,7 +35,7 @@ export function start(form) {
     const token = document.querySelector("meta[name=csrf-token]")?.content;
     try {
       const headers = {"Content-Type": "application/json", Accept: "application/json", ...(token ? {"X-CSRF-Token": token} : {})};
-      show(result, await asked(form.dataset.api, {method: "POST", headers, body: JSON.stringify({sql, shape: "arrays"})}), link);
+      show(result, await asked(form.dataset.api, {method: "POST", headers, body: JSON.stringify({sql, shape: "shown"})}), link);
     } catch (error) {
       result.replaceChildren(element("p", {role: "alert", textContent: error.message}));
     }
@@ -55,7 +55,7 @@ function show(result, found, link) {
   const {columns, rows} = found;
   const told = say("rows", {n: found.count, s: figure(found.seconds)}) + (found.truncated ? `, ${say("cut", {n: found.count})}` : "");
   const head = element("tr", {}, ...columns.map(column => element("th", {scope: "col", title: column.type, textContent: column.name})));
-  const cell = value => element("td", {className: typeof value === "number" ? "number" : "", textContent: value === null ? "" : typeof value === "object" ? JSON.stringify(value) : String(value)});
+  const cell = value => element("td", {className: value === null ? "soft" : typeof value === "number" ? "number" : "", textContent: value === null ? "NULL" : typeof value === "object" ? JSON.stringify(value) : String(value)});
   const body = rows.slice(0, SHOWN_ROWS).map(row => element("tr", {}, ...row.map(cell)));
   const table = element("table", {}, element("thead", {}, head), element("tbody", {}, ...body));
   const host = element("div");

@@ -180,6 +180,8 @@ def test_a_statement_is_answered_without_scripts(served: Served) -> None:
         text = browser.post("/sql", data=fields).text
         assert ">42<" in text
         assert "&lt;b&gt;" in text
+        apart = browser.post("/sql", data=fields | {"sql": "select null as a, '' as b, 'nan'::double as c"}).text
+        assert '<td class="soft">NULL</td><td></td><td>NaN</td>' in apart
         wrong = browser.post("/sql", data=fields | {"sql": "copy (select 1) to 'x'"}).text
         assert 'role="alert"' in wrong
         assert "COPY is refused" in wrong

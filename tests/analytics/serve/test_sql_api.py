@@ -68,6 +68,10 @@ def test_arrow_parquet_and_csv(api: httpx.Client) -> None:
     text = api.post("/api/sql", json=body | {"format": "csv"})
     assert text.headers["content-type"].startswith("text/csv")
     assert text.text.splitlines() == ["n,formula,nothing", "7,'=1+1,"]
+    apart = {"sql": "select null as a, '' as b, 'nan'::double as c, 'x\"y,' as d, true as e, null::blob as f"}
+    assert api.post("/api/sql", json=apart | {"format": "csv"}).text == 'a,b,c,d,e,f\r\n,"",nan,"x""y,",True,\r\n'
+    (row,) = api.post("/api/sql", json=apart | {"shape": "shown"}).json()["rows"]
+    assert row == [None, "", "NaN", 'x"y,', True, None]
 
 
 REFUSED = (

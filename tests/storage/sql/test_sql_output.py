@@ -87,6 +87,13 @@ def test_json_is_one_array(
     assert done.json == rows
 
 
+def test_csv_tells_null_an_empty_text_and_nan_apart(folder: Path, run_command: Callable[..., Any]) -> None:
+    """RFC 4180: DuckDB and others read the empty cell as null, the quoted one as a text."""
+    statement = "select * from (values (null, 1.5::double), ('', 'nan'), ('a,\"b', null)) t(text, n)"
+    done = run_command("sql", statement, "--csv", "--store", "S", cwd=folder)
+    assert done.out.splitlines() == ["text,n", ",1.5", '"",nan', '"a,""b",']
+
+
 def test_a_failure_before_the_first_megabytes_is_the_whole_json(folder: Path, run_command: Callable[..., Any]) -> None:
     done = run_command("sql", MANY, "--json", "--max-rows", 10_000, "--store", "S", cwd=folder)
     assert done.code == 2

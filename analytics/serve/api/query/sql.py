@@ -24,13 +24,14 @@ _MOST_BYTES = 256 << 20
 class SqlAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One statement, in `sql`, and its parameters for ``$name`` or ``?``.
 
-    A result of more than `rows` is cut there and says so. `shape` of the rows in JSON: objects by column, or arrays.
+    A result of more than `rows` is cut there and says so. `shape` of the rows in JSON: objects by column, arrays, or
+    shown: arrays with the texts NaN, Infinity and -Infinity, which are null otherwise.
     """
 
     sql: str
     parameters: dict[str, Any] | list[Any] | None = None
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_ROWS)] = 10_000
-    shape: Literal["objects", "arrays"] = "objects"
+    shape: Literal["objects", "arrays", "shown"] = "objects"
     format: Literal["json", "arrow", "csv", "parquet"] | None = None
 
 

@@ -1,7 +1,7 @@
 """The result of a statement in the form that was asked for, encoded piece by piece: a server has many readers."""
 
-import csv
 import io
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form
 from storage.sql.door import Result
-from storage.sql.printable import csv_cells, distinct_names, printable_batches
+from storage.sql.printable import csv_lines, distinct_names, printable_batches
 from stream.errors import QueryError
 from stream.terminal.console import json_text
 
@@ -21,6 +21,7 @@ MOST_TEXT_BYTES = 256 << 20
 _MOST_VALUES = 20_000_000  # in text each is a Python object for a moment, and some bytes of the answer
 _VALUES_AT_ONCE = 100_000
 _VALUE_BYTES = 8
+_NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 
 
 class SqlColumn(msgspec.Struct, frozen=True):
@@ -41,7 +42,7 @@ class SqlRows(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SqlResult:
-    """A result in the form that was asked for; `shape` of rows in JSON is ``objects`` or ``arrays``."""
+    """A result in the form that was asked for; `shape` of rows in JSON is ``objects``, ``arrays`` or ``shown``."""
 
     def __init__(self, table: pa.Table, shape: str, seconds: float, *, is_truncated: bool) -> None:
         self._table, self._shape, self._seconds, self._is_truncated = table, shape, seconds, is_truncated
@@ -69,9 +70,9 @@ class SqlResult:
         return Answer(sink.getvalue(), form.media_type, (("X-Truncated", str(self._is_truncated).lower()),))
 
     def _csv(self, names: list[str]) -> Iterator[bytes]:
-        yield _csv_lines([csv_cells(pa.array(names))])
+        yield csv_lines(pa.array([name], pa.string()) for name in names).encode()
         for batch in self._pieces():
-            yield _csv_lines(zip(*map(csv_cells, batch.columns), strict=True))
+            yield csv_lines(batch.columns).encode()
 
     def _json(self, names: list[str]) -> Iterator[bytes]:
         columns = [SqlColumn(name, str(kind)) for name, kind in zip(names, self._table.schema.types, strict=True)]
@@ -86,7 +87,8 @@ class SqlResult:
             if self._shape == "objects":
                 found: list[Any] = batch.to_pylist()
             else:
-                found = list(map(list, zip(*(column.to_pylist() for column in batch.columns), strict=True)))
+                values_of = _shown if self._shape == "shown" else pa.Array.to_pylist
+                found = list(map(list, zip(*map(values_of, batch.columns), strict=True)))
             yield (comma + json_text(found)[1:-1]).encode()
             comma = ","
         yield after.encode()
@@ -136,7 +138,9 @@ def _inner(column: pa.Array) -> list[pa.Array]:
     return []
 
 
-def _csv_lines(rows: Any) -> bytes:
-    text = io.StringIO()
-    csv.writer(text).writerows(rows)
-    return text.getvalue().encode()
+def _shown(column: pa.Array) -> list[Any]:
+    """Values of a column, in which NaN and infinities, which JSON lacks, are texts."""
+    values: list[Any] = column.to_pylist()
+    if not pa.types.is_floating(column.type):
+        return values
+    return [each if each is None or math.isfinite(each) else _NOT_FINITE[str(each)] for each in values]
