@@ -15,6 +15,7 @@ from analytics.curves.allan_curve import AllanCurve, curve_of_points
 from ingest.tables.units import known_unit
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
+from stream.defects.longest_gap import LongestGap
 from stream.defects.outliers import count_outliers
 from stream.defects.stillness import Stillness
 from stream.errors import BadInput, EstimatorError, NotEnoughData
@@ -129,14 +130,16 @@ def allan_deviation(
     except ValueError:
         raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}") from None
     with FullOverlap() as record:
-        still = Stillness()
+        still, gap = Stillness(), LongestGap()
         pieces = [row[begin : begin + _PIECE_SAMPLES] for begin in range(0, row.size, _PIECE_SAMPLES)]
         for begin, piece in zip(range(0, row.size, _PIECE_SAMPLES), pieces, strict=True):
-            still.follow(piece)
-            record.update(
-                SampleBatch("array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns,
-                            unit_of_measure, values=piece)
+            batch = SampleBatch(
+                "array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns, unit_of_measure,
+                values=piece,
             )  # fmt: skip
+            still.follow(piece)
+            gap.follow(batch)
+            record.update(batch)
         try:
             points = record.evaluate(kind, points_per_octave)
         except EstimatorError as error:
@@ -145,7 +148,7 @@ def allan_deviation(
             raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
         exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
         points = tuple(msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points)
-        curve = curve_of_points(("array", "values", ""), record, points, kind, "full", still)
+        curve = curve_of_points(("array", "values", ""), record, points, kind, "full", still, gap.samples)
         return deviation_curve(replace(curve, outliers=count_outliers(pieces)))
 
 

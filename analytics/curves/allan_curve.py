@@ -6,14 +6,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from analytics.curves.shortfall import shortfall_of
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
+from stream.defects.longest_gap import LongestGap
 from stream.defects.outliers import IsolatedOutliers
 from stream.defects.rate_changes import RateChange, RateChanges, remark_on_rate_changes
 from stream.defects.stillness import Stillness, remark_on_stillness
 from stream.errors import BadInput, NotEnoughData, NotFound
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import NoEstimate, held_share
+from stream.estimators.base import NoEstimate
 from stream.estimators.block_means import BlockMeans
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
@@ -25,7 +27,6 @@ _Estimator = AllanDeviation | FullOverlap
 FULL_AT_MOST = 1_000_000
 _TAU_TOLERANCE = 1e-3
 _SAME_RATE = 0.05
-_MISSING = 0.01  # of all samples: worth a word
 _MANY = 50  # samples a block: one more or less of them changes nothing
 
 
@@ -55,6 +56,7 @@ class AllanCurve:
     longest_tau_s: float | None = None  # the longest averaging time of the record, where any was left out
     rate_changes: tuple[RateChange, ...] = ()  # places where the sample rate changes; empty where unknown
     outliers: IsolatedOutliers | None = None  # None where they were not sought
+    longest_gap: int = 0  # samples that the longest gap lacks; 0 where unknown
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -99,7 +101,8 @@ class AllanCurve:
                 f"no deviation at {taus}: this record reaches {self.longest_tau_s:g} s, less where samples are missing",
                 f"在 {taus} 处没有结果：本记录最长平均时间为 {self.longest_tau_s:g} s，缺采样处更短",
             ))  # fmt: skip
-        found.append(_remark_on_missing(self.samples, self.missing))
+        if (shortfall := shortfall_of(self.samples, self.missing, self.longest_gap)) is not None:
+            found.append(shortfall.remark(self.sample_interval_s, self.tau_s[-1] if self.tau_s else 0.0))
         if self.outliers is not None and self.outliers.is_worth_a_word:
             found.append((self.outliers.sentence, self.outliers.chinese))
         remarks = [each for each in found if each is not None]
@@ -121,7 +124,7 @@ class AllanCurve:
 
     def document(self) -> dict[str, Any]:
         """The curve as JSON, with the same keys for every kind of deviation; `curve_document` has the outliers."""
-        left_out = ("windows", "outliers")
+        left_out = ("windows", "outliers", "longest_gap")
         return {"value" if key == "adev" else key: value for key, value in asdict(self).items() if key not in left_out}
 
 
@@ -183,10 +186,11 @@ class _Fed(NamedTuple):
 
     still: Stillness
     rate_changes: tuple[RateChange, ...]
+    longest_gap: int
 
 
 def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resample_s: float | None) -> _Fed:
-    still, rates = Stillness(), RateChanges()
+    still, rates, gap = Stillness(), RateChanges(), LongestGap()
     means = None if resample_s is None else BlockMeans(resample_s)
     for batch in read_signal(catalog, record):
         if resample_s is not None and not record.irregular:
@@ -195,8 +199,9 @@ def _feed(estimator: _Estimator, catalog: Catalog, record: SignalRecord, resampl
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             still.follow(block_means.value_array)  # of what counts as a sample of the curve
+            gap.follow(block_means)
             estimator.update(block_means)
-    return _Fed(still, tuple(rates.found))
+    return _Fed(still, tuple(rates.found), gap.samples)
 
 
 def _check_blocks(block_s: float, interval_s: float) -> None:
@@ -220,13 +225,13 @@ def _curve(
         reason = points.reason.removeprefix(f"{where}: ")
         raise NotEnoughData(f"{where}, run {record.run}: no {FORMS[deviation].name}: {reason}")
     of = (record.unit, record.signal, record.run)
-    curve = curve_of_points(of, estimator, points, deviation, overlap, fed.still)
+    curve = curve_of_points(of, estimator, points, deviation, overlap, fed.still, fed.longest_gap)
     return replace(curve, rate_changes=fed.rate_changes)
 
 
 def curve_of_points(
     of: tuple[str, str, str], estimator: _Estimator, points: Sequence[EstimatePoint], deviation: Deviation,
-    overlap: Overlap, still: Stillness,
+    overlap: Overlap, still: Stillness, longest_gap: int = 0,
 ) -> AllanCurve:  # fmt: skip
     """The curve of a unit, signal and run from the points of an estimator."""
     unit, signal, run = of
@@ -239,26 +244,8 @@ def curve_of_points(
         adev=tuple(point.value for point in points), deviation=deviation, overlap=overlap,
         **columns,
         plausible=tuple(point.plausible for point in points), windows=tuple(point.n for point in points),
-        longest_still=still.longest,
+        longest_still=still.longest, longest_gap=longest_gap,
     )  # fmt: skip
-
-
-def _remark_on_missing(samples: int, missing: int) -> tuple[str, str] | None:
-    """What a reader must know of missing samples, in English and Chinese; None if they are few.
-
-    >>> _remark_on_missing(95, 5)[0].partition(", which")[0]
-    '5.0% of the samples are missing: white noise may be shown up to 2.6% too high'
-    """
-    if missing < _MISSING * (samples + missing):
-        return None
-    share, excess = missing / (samples + missing), held_share(samples, missing) ** -0.5 - 1.0
-    return (
-        (
-            f"{share:.1%} of the samples are missing: white noise may be shown up to {excess:.1%} too high, which the "
-            "lower bounds allow for; angle quantisation looks like white noise then, which they do not"
-        ),
-        f"缺失 {share:.1%} 的采样：白噪声可能偏高至多 {excess:.1%}，置信下限已计入；角度量化此时形同白噪声，未计入",
-    )
 
 
 def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:

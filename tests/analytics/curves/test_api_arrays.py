@@ -202,6 +202,23 @@ def test_bounds_cover_the_truth_where_samples_are_missing_here_and_there(share: 
     assert coefficients >= 5  # 2e-4 by chance at 95 %
 
 
+def test_one_long_gap_is_named_as_one_and_raises_nothing_where_no_average_spans_it() -> None:
+    values = np.random.default_rng(1).normal(size=50_000)
+    gappy = values.copy()
+    gappy[20_000:25_000] = np.nan
+    found, whole = gf.allan_deviation(gappy, 10.0), gf.allan_deviation(values, 10.0)
+    assert found.remark.startswith(
+        "10.0% of the samples are missing, nearly all in one gap of 500 s: averages that lack"
+    )
+    assert "too high" not in found.remark
+    short = found.tau_s < 20.0
+    np.testing.assert_allclose(found.deviation[short], whole.deviation[: short.sum()], rtol=0.02)  # it said 5.4 %
+    gappy = values.copy()
+    gappy[20_000:21_000] = np.nan
+    long = gf.allan_deviation(gappy, 10.0).remark
+    assert "from 1000 s on they span the gap, and white noise may be shown up to 5.4% too high" in long
+
+
 def test_a_curve_says_that_outliers_raise_it() -> None:
     values = np.random.default_rng(1).normal(size=20_000)
     assert gf.allan_deviation(values, 10.0).remark == ""
