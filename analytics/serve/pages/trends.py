@@ -48,7 +48,7 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
         data = link("api", "trends", **fields) if asked.metric else "/api/metrics"
         return {
             "found": None, "metrics": api.named_metrics(), "here": fields, "zone": DEFAULT, "data": data,
-            "has_table": not asked.metric, "is_whole": False,
+            "has_table": not asked.metric, "is_whole": False, "local_zone": common_zone(call),
         }  # fmt: skip
     of_yield = {"by": asked.yield_by, "name": asked.group} | group
     content = {
@@ -70,6 +70,7 @@ def trends(call: Call, asked: TrendPageAsked) -> dict[str, Any]:
         "data": link("api", "trends", **fields) if asked.metric else "/api/metrics",
         "has_table": not asked.metric,
         "zone": DEFAULT,  # the trend itself gives its times in UTC
+        "local_zone": common_zone(call),
     }  # fmt: skip
     return content | (_of_metric(call, fields) if asked.metric else {})
 

@@ -174,6 +174,13 @@ def test_events_between_times_that_are_none_are_all_of_them(api: httpx.Client) -
     assert "run-1" in text
 
 
+def test_the_page_of_trends_says_in_which_zone_its_times_are(api: httpx.Client) -> None:
+    text = api.get("/trends?metric=bias", headers={"Accept": "text/html"}).text
+    assert "Dates and times in sentences and charts are in UTC; tables name their zone." in text
+    charts = text.partition('id="charts-title"')[2].partition("</section>")[0]
+    assert re.search(r'<tr><td><time datetime="[^"]+Z">[-0-9 :]+ <span class="zone">[^<]+</span></time></td>', charts)
+
+
 def test_a_statement_is_answered_without_scripts(served: Served) -> None:
     with served.browser("vera") as browser:
         fields = {"sql": "select 6 * 7 as answer, '<b>' as text", "csrf": browser.csrf}
