@@ -6,6 +6,7 @@ from functools import cache, lru_cache
 from importlib.resources import files
 
 from analytics.evaluation.system_errors import system_error
+from ingest.measurement_standards import QUANTITIES
 
 _PLACE = re.compile(r"\{(\d)\}")
 _OF_STANDARD = re.compile(r"((?:GJB|JJF) ?\d+[A-Z]?): (.+)")
@@ -22,6 +23,8 @@ def in_chinese(reason: str) -> str:
     '测得 3 次上电，条款要求不少于 6 次'
     >>> in_chinese("/data/lake: Input/output error")
     '/data/lake：输入/输出错误'
+    >>> in_chinese("type B unknown: table rate, error common to all rates, clock rate: the station states none")
+    'B类未知：转台速率(各速率共同误差)、时钟频率：试验台未给出'
     >>> in_chinese("something else")
     'something else'
     """
@@ -35,7 +38,18 @@ def in_chinese(reason: str) -> str:
     return f"{of_standard[1]}：{in_chinese(of_standard[2])}" if of_standard else reason
 
 
+@cache
+def _quantities() -> tuple[re.Pattern[str], dict[str, str]]:
+    """A list of quantities of measurement standards, and their Chinese names; a name may have a comma."""
+    names = {each.en: each.zh for each in QUANTITIES.values()}
+    one = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    return re.compile(rf"(?:(?:{one})(?:, |$))+"), names
+
+
 def _translated(text: str) -> str | None:
+    pattern, names = _quantities()
+    if pattern.fullmatch(text) is not None:
+        return "、".join(names[each] for each in re.findall("|".join(map(re.escape, names)), text))
     for pattern, chinese in _patterns():
         if (match := pattern.fullmatch(text)) is not None:
             filled = [_VERDICTS.get(part) or in_chinese(part) for part in match.groups()]

@@ -27,6 +27,7 @@ COLUMNS = (
 )  # fmt: skip
 _TITLES = tomllib.loads(files("analytics.evaluation").joinpath("metric_titles.toml").read_text(encoding="utf-8"))
 _MOST_DIGITS = 9
+_REASONS = ("reason", "uncertainty_reason")
 
 
 def name_of(metric: str, language: str) -> str:
@@ -56,19 +57,33 @@ def format_number(value: float | None, resolution: float | None = None) -> str:
     return f"{value:.{digits}e}"
 
 
-def format_parameters(parameters: Mapping[str, Any]) -> str:
+def format_parameters(parameters: Mapping[str, Any], language: str = "en") -> str:
     """Parameters on one line, without unknown ones, the procedure, which the run names, and ``room = false``.
+
+    Their names are those that limits have; texts that are sentences are in the language.
 
     >>> format_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
     'average_s = 100, room = true'
     >>> format_parameters({"temperature": 25.0, "room": False})
     'temperature = 25'
+    >>> format_parameters({"remark": "record of 300 s: the clauses ask for one hour as a rule"}, "zh")
+    '备注 = 记录长 300 s：条款一般要求一小时'
     """
+    spoken = in_language(parameters, language)
     return ", ".join(
-        f"{name} = {format_parameter(each)}"
-        for name, each in parameters.items()
+        f"{'备注' if name == 'remark' and language == 'zh' else name} = {format_parameter(each)}"
+        for name, each in spoken.items()
         if each is not None and name != "procedure" and not (name == "room" and each is False)
     )
+
+
+def in_language(parameters: Mapping[str, Any], language: str) -> dict[str, Any]:
+    """Parameters with what is said in them, above all the remark, in ``en`` or ``zh``; single words are names."""
+    if language != "zh":
+        return dict(parameters)
+    return {
+        name: in_chinese(each) if isinstance(each, str) and " " in each else each for name, each in parameters.items()
+    }
 
 
 def interval_of(row: Row) -> str:
@@ -110,7 +125,7 @@ def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
                 styled(reason_of(row, language), "yellow") if row["value"] is None else format_value(row),
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
-                format_parameters(row["parameters"]),
+                format_parameters(row["parameters"], language),
                 "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items()),
             )
     return table
@@ -127,12 +142,13 @@ def format_value(row: Row) -> str:
 
 
 def write_csv(rows: Sequence[Row], path: Path, language: str) -> None:
-    """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
+    """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need; titles, reasons in the language."""
     try:
         with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
             columns = _columns_of(rows)
-            writer.writerow(["name", *columns])
+            titles = ["name", *columns]  # for programs; those of another language are for people
+            writer.writerow(titles if language == "en" else _titles(titles, language))
             for row in rows:
                 cells = _plain(row, columns, language)
                 writer.writerow(csv_text(each) if isinstance(each, str) else each for each in cells)
@@ -174,7 +190,9 @@ def _plain(row: Row, columns: Iterable[str], language: str) -> list[object]:
     for column in columns:
         value = row[column]
         if column == "parameters":
-            value = json.dumps(value, ensure_ascii=False)
+            value = json.dumps(in_language(value, language), ensure_ascii=False)
+        elif column in _REASONS and value is not None and language == "zh":
+            value = in_chinese(value)
         elif isinstance(value, list):
             value = ", ".join(str(each) for each in value)
         cells.append(value)

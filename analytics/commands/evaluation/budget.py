@@ -90,7 +90,7 @@ def _print(
     of, measure, is_zh = found.budget, format_unit(found.budget.unit), language == "zh"
     console = results()
     console.print(f"{unit}  {of.zh if is_zh else of.en}  {found.run or several}  {found.standard} {found.clause}")
-    console.print(format_parameters(found.parameters), style="dim")
+    console.print(format_parameters(found.parameters, language), style="dim")
     table = ResultTable(*_TITLES[language])
     for each in of.components:
         distribution = each.distribution.zh if is_zh else each.distribution.en

@@ -151,7 +151,7 @@ def warn_of_failed(catalog: "Catalog", rows: "Sequence[Row] | None" = None) -> N
 
 
 def _print_annex(rows: "Sequence[InnerRow]", unit: str, language: str, *, as_json: bool) -> None:
-    from analytics.evaluation.table import format_parameters, format_value, interval_of
+    from analytics.evaluation.table import format_parameters, format_value, interval_of, reason_of
 
     if as_json:
         print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row._asdict() for row in rows]})
@@ -164,10 +164,11 @@ def _print_annex(rows: "Sequence[InnerRow]", unit: str, language: str, *, as_jso
     for row in rows:
         name = row.zh if in_chinese else row.en
         if not row.results:
-            table.add_row(str(row.number), name, styled(row.reason or "", "yellow"), "", "", row.clause)
+            why = reason_of({"reason": row.reason or ""}, language)
+            table.add_row(str(row.number), name, styled(why, "yellow"), "", "", row.clause)
         for at, each in enumerate(row.results):
             head = ("", "") if at else (str(row.number), name)
-            parameters = format_parameters(each["parameters"])
+            parameters = format_parameters(each["parameters"], language)
             table.add_row(*head, format_value(each), interval_of(each), parameters, each["clause"])
     results().print(table)
 

@@ -205,14 +205,21 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
             console.print(_value_table(found.verdicts, language))
         counts = Counter(row["verdict"] for row in found.units)
         summary = ", ".join(f"{n} {_verdict_text(name, language)}" for name, n in sorted(counts.items()))
-        more = f" (the first {_SHOWN} shown; --json gives all)" if len(found.units) > _SHOWN else ""
+        more = ""
+        if len(found.units) > _SHOWN:
+            more = (
+                f"（显示前 {_SHOWN} 个，--json 给出全部）"
+                if language == "zh"
+                else f" (the first {_SHOWN} shown; --json gives all)"
+            )
         units = counted(len(found.units), "unit") if language == "en" else f"{len(found.units)} 个产品"
         console.print(f"{units}: {summary}{more}")
     if found.pareto and not with_values:
         console.print(_pareto_table(found.pareto, language))
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
-        notes().print(f"warning: unit {named(row, 'unit')}: {reason}", soft_wrap=True)
+        before = "警告：产品" if language == "zh" else "warning: unit"
+        notes().print(f"{before} {named(row, 'unit')}: {reason}", soft_wrap=True)
 
 
 def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[str]:
@@ -300,7 +307,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         unit = format_unit(row["unit_of_measure"])
         value = "" if row["value"] is None else f"{format_number(row['value'], half)} {unit}".strip()
         interval = "" if row["lo"] is None else f"{format_number(row['lo'], half)} .. {format_number(row['hi'], half)}"
-        parameters = format_parameters(json.loads(row["parameters"] or "{}"))
+        parameters = format_parameters(json.loads(row["parameters"] or "{}"), language)
         of_plant = f"{row['plant']}: " if "plant" in row else ""
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(

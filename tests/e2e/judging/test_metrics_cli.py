@@ -162,6 +162,16 @@ def test_a_csv_file_holds_the_same(ask: Ask, tmp_path: Path) -> None:
         assert row["value"] == ("" if reported["value"] is None else repr(reported["value"]))
         assert json.loads(row["parameters"]) == reported["parameters"]
     assert [path.name for path in tmp_path.iterdir()] == ["m.csv"]
+    # titles, reasons and remarks are in the language that is asked for
+    ask("metrics", "--csv", tmp_path / "zh.csv", "--lang", "zh")
+    chinese = list(csv.DictReader(io.StringIO((tmp_path / "zh.csv").read_text(encoding="utf-8-sig"))))
+    assert [row["代号"] for row in chinese] == [row["metric"] for row in rows]
+    short = [row for row in chinese if row["产品编号"] == "FOG-0003"]
+    reasons = {row["无数值的原因"] for row in short if row["代号"] == "bias_stability_averaged"}
+    assert "记录中有 1 个 100 s 平均值，至少需要 2 个" in reasons
+    (bias,) = [row for row in short if row["代号"] == "bias"]
+    assert json.loads(bias["参数"])["remark"] == "记录长 149 s：条款一般要求一小时"
+    assert bias["无扩展不确定度的原因"].startswith("B类未知：转台速率(各速率共同误差)：试验台未给出")
 
 
 @pytest.mark.long
@@ -234,6 +244,9 @@ def test_verdicts_by_unit_and_by_station(specified: Ask) -> None:
     shown = specified("verdicts", "--lang", "zh", "--unit", "FOG-0002").stdout
     assert "不合格: 零偏" in shown
     assert "FOG-0002" in shown
+    remarks = "".join(specified("verdicts", "--lang", "zh", "--unit", "FOG-0003").stdout.split())
+    assert "记录长149s：条款一般要求一小时" in remarks
+    assert "asarule" not in remarks
 
 
 @pytest.mark.long
