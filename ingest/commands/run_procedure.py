@@ -35,7 +35,7 @@ from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError, RunAborted
 from stream.events import Verdict
 from stream.status.reporter import StatusReporter, served
-from stream.terminal.console import Stop, notes, print_json, results, structured_log, until_stopped
+from stream.terminal.console import Stop, counted, notes, print_json, results, structured_log, until_stopped
 from stream.worker.compile_kernels import compile_kernels
 from stream.worker.estimated_signals import EstimatedSignals
 
@@ -373,4 +373,6 @@ def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bo
         return
     for line in (*(f"{name}: {identity}" for name, identity in found.instruments.items()), *limits.remarks):
         results().print(line, soft_wrap=True)
-    results().print(f"{job.procedure.name} could begin: {len(job.steps)} steps; nothing was written", soft_wrap=True)
+    warned = f", {counted(len(found.warnings), 'warning')}" if found.warnings else ""
+    could = f"{job.procedure.name} could begin: {len(job.steps)} steps{warned}; nothing was written"
+    results().print(could, soft_wrap=True)

@@ -53,4 +53,7 @@ def test_a_run_is_checked_without_being_begun(
     assert reported["event"] == "checked"
     assert set(reported["instruments"]) == {"chamber", "table", "supply", "vibration"}
     assert reported["warnings"] == ["warning: the rate_table table was due for calibration on 2020-03-31"]
+    plain = gyrofleet(*(word for word in words if word != "--json"), "--check", "--store", "S")
+    assert reported["warnings"][0] in plain.err
+    assert " steps, 1 warning; nothing was written" in plain.out
     assert not (tmp_path / "S").exists()
