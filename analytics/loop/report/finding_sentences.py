@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.report_tables import TextTable
-from analytics.loop.report.wording import LEAST_SHARE, Wording, number
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number, sole_run
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
@@ -67,6 +67,8 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
         answer = words.of(*_ANSWERS[slope.answer])
         if slope.may_be_walk:
             answer = words.of(*_WALKS[slope.answer])
+        elif slope.sole_run is not None:
+            answer = words.of("no confirmation, since ", "不作为证实，因") + sole_run(slope.sole_run, words)
         elif not slope.is_independent:
             answer = words.of(
                 "no confirmation, since the training runs alone do not show it",

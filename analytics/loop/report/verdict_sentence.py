@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analytics.loop.effects.events import STATION, TURN_ON
-from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent, sole_run
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
     ConfoundedEffect,
@@ -200,6 +200,8 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
             f"{name} was seen, but {share} of its evidence comes from one run",
             f"见到{name}，但其证据的{share}来自同一次试验",
         )
+    if found.sole_run is not None:
+        return f"{sized}{words.of('; ', '；')}{sole_run(found.sole_run, words)}"
     if diagnosis.holdout is None:
         return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
     if slope is not None and slope.may_be_walk:
@@ -235,6 +237,8 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
             f"within the runs the output does not follow it ({inside}), so that it is not their cause as it stands",
             f"但各次试验内部的输出不随其变化（{inside}），故其本身不是原因",
         )
+    elif found.sole_run is not None:
+        why = sole_run(found.sole_run, words)
     elif slope is None:
         why = words.of("no runs were held out to confirm it", "无留出试验可供证实")
     elif slope.may_be_walk:
@@ -286,6 +290,9 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
     count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
         undecided = [each for each in diagnosis.holdout.effects if each.answer is HeldOutAnswer.NO_POWER]
+        alone = [each.sole_run for each in undecided if each.sole_run is not None]
+        if alone:
+            return f"{words.of('; ', '；')}{sole_run(alone[0], words)}"
         if any(each.may_be_walk for each in undecided):
             return words.of(
                 f"; the held-out runs do not confirm {them}: a bias that walks from run to run explains the runs about "

@@ -63,6 +63,14 @@ def measured(value: float, error: float) -> str:
     return f"{value:,.{max(0, place)}f}" if abs(value) >= _SMALL else f"{value:.{digits}g}"
 
 
+def sole_run(run: str, words: "Wording") -> str:
+    """What is said of an effect that one run alone bears."""
+    return words.of(
+        f"run {run} alone shows it: without it the biases of the other runs do not",
+        f"仅由试验{run}显示：去掉该次试验后，其余试验的零偏不再显示",
+    )
+
+
 class Wording:
     """Names in one language; the channels of `run` give the units of shape parameters."""
 

@@ -74,3 +74,32 @@ def test_runs_that_cannot_be_compared_say_why(count: int, is_dated: bool, why: s
         assert str(why) in each
         assert isinstance(each, Bilingual)
         assert str(zh) in each.zh
+
+
+@pytest.mark.parametrize("far", [0, 2])
+def test_one_far_run_confirms_nothing(far: int) -> None:
+    """A run at another temperature, whose bias differs: held-out runs are right with it as soon as their bias is."""
+    rng = np.random.default_rng(1)
+    levels, biases = 25.0 + 0.5 * rng.standard_normal(9), SCATTER * rng.standard_normal(9)
+    levels[far], biases[far] = 60.0, biases[far] + 0.6
+    found = diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    assert (found.verdict, found.names, found.effects[0].confirmed) == (
+        ModelVerdict.UNREPLICATED,
+        ("temperature",),
+        None,
+    )
+    assert found.effects[0].sole_run == f"r0{far}"
+    assert f"run r0{far} alone shows it" in verdict_sentence(found, Wording("en"))
+    assert f"仅由试验r0{far}显示" in said(found, Wording("zh"))
+    assert any(each.startswith(f"temperature: run r0{far} alone shows it") for each in found.limits)
+
+
+def test_a_second_far_run_that_agrees_confirms() -> None:
+    rng = np.random.default_rng(1)
+    levels, biases = 25.0 + 0.5 * rng.standard_normal(9), SCATTER * rng.standard_normal(9)
+    levels[[2, 7]] = 60.0
+    biases[[2, 7]] += 0.6
+    found = diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    assert found.verdict in (ModelVerdict.EFFECT_FOUND, ModelVerdict.CONFOUNDED)
+    assert found.effects[0].confirmed
+    assert found.effects[0].sole_run is None

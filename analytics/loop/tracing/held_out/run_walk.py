@@ -27,12 +27,12 @@ def against_walk(holdout: Holdout | None, boxes: Sequence[HeldOutSet], found: Se
         return None
     for number, each in enumerate(found.common):
         slope = holdout.slope(each.name)
-        if slope is None or _seen_within_runs(boxes, found, number):
+        if slope is None or seen_within_runs(boxes, found, number):
             continue
         columns = found.common_columns(each)
         # all units share the coefficients, which are paid for once
         fitted = [columns.stop - columns.start, *[1] * (len(boxes) - 1)]
-        odds = [log_odds(*_of_runs(box, number), many) for box, many in zip(boxes, fitted, strict=True)]
+        odds = [log_odds(*of_runs(box, number), many) for box, many in zip(boxes, fitted, strict=True)]
         known = [one for one in odds if one is not None]
         if known:
             holdout = holdout.beside_walk(each.name, float(sum(known)))
@@ -49,8 +49,8 @@ def follow_order(box: HeldOutSet, found: Search) -> set[str]:
         return set()
     names = set()
     for number, each in enumerate(found.common):
-        _, mean, _ = _of_runs(box, number)
-        if np.ptp(mean) > 0 and not _seen_within_runs([box], found, number):
+        _, mean, _ = of_runs(box, number)
+        if np.ptp(mean) > 0 and not seen_within_runs([box], found, number):
             along = float(np.corrcoef(mean, np.arange(mean.size))[0, 1])
             if abs(along) > ALONG:
                 names.add(each.name)
@@ -117,7 +117,7 @@ def _walk(value: FloatArray, contrasts: FloatArray, clock: FloatArray, least: fl
     return float(np.max(-0.5 * value.size * np.log(scale) - 0.5 * np.log(variances).sum(axis=1)))
 
 
-def _seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int) -> bool:
+def seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int) -> bool:
     """Whether the blocks show an effect of this size about the bias of each run."""
     squared = 0.0
     for at, box in enumerate(boxes):
@@ -126,7 +126,7 @@ def _seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int) -
     return squared >= SEEN_WITHIN_RUNS**2
 
 
-def _of_runs(box: HeldOutSet, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def of_runs(box: HeldOutSet, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean of the signal less all other effects, mean of the effect, and day, of each run of a unit."""
     stack = box.record.stack
     effect = box.predictions[:, number]

@@ -101,6 +101,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
     by_run: dict[str, tuple[float, float]] = {}  # first coefficient and its standard error in each run that excites it
     # share of the squared held-out error about the mean of each run that it takes away; None if it predicts nothing
     error_share: float | None = None
+    sole_run: str | None = None  # the run without which the biases of the others do not show it
     of_biases: BiasTest | None = None  # if the search did not find it, but the biases of all runs follow it
 
     def document(self) -> dict[str, Any]:
@@ -126,6 +127,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
             "confirmed": self.confirmed,
             "error_share": self.error_share,
             "by_run": {run: {"coefficient": value, "se": se} for run, (value, se) in self.by_run.items()},
+            "sole_run": self.sole_run,
             "of_biases": msgspec.to_builtins(self.of_biases),
         }
 

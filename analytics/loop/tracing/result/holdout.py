@@ -38,6 +38,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     # log likelihood less that of a bias that walks from run to run; None if the runs themselves show the effect
     walk_log_odds: float | None = None
     is_independent: bool = True  # whether the training runs name the effect without them
+    sole_run: str | None = None  # the run that alone bears the effect: the others do not show it
 
     @property
     def may_be_walk(self) -> bool:
@@ -59,6 +60,13 @@ def _beside_walk(slope: HoldoutSlope, log_odds: float) -> HoldoutSlope:
 
 def _not_independent(slope: HoldoutSlope) -> HoldoutSlope:
     judged = msgspec.structs.replace(slope, is_independent=False)
+    if slope.answer is not HeldOutAnswer.CONFIRMED:
+        return judged
+    return msgspec.structs.replace(judged, accepted=False, answer=HeldOutAnswer.NO_POWER)
+
+
+def _resting_on(slope: HoldoutSlope, run: str) -> HoldoutSlope:
+    judged = msgspec.structs.replace(slope, sole_run=run)
     if slope.answer is not HeldOutAnswer.CONFIRMED:
         return judged
     return msgspec.structs.replace(judged, accepted=False, answer=HeldOutAnswer.NO_POWER)
@@ -122,6 +130,15 @@ class Holdout(msgspec.Struct, frozen=True):
             self,
             total=_not_independent(self.total) if is_only else self.total,
             effects=tuple(_not_independent(e) if e.effect == name else e for e in self.effects),
+        )
+
+    def resting_on(self, name: str, run: str) -> "Holdout":
+        """The answers on an effect that one run alone bears: other runs cannot confirm it."""
+        is_only = self.total.effect == name
+        return msgspec.structs.replace(
+            self,
+            total=_resting_on(self.total, run) if is_only else self.total,
+            effects=tuple(_resting_on(e, run) if e.effect == name else e for e in self.effects),
         )
 
     def confirms(self, name: str) -> bool | None:

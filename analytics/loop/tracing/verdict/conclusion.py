@@ -15,6 +15,7 @@ from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open_held_out_set
 from analytics.loop.tracing.held_out.run_walk import against_walk, follow_order
+from analytics.loop.tracing.held_out.sole_run import sole_runs
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.effect_search import Search, provisional
@@ -72,7 +73,11 @@ def conclude(
     holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
     if holdout is not None and by_runs is not None and not by_runs.test.is_in_training:
         holdout = holdout.not_independent(by_runs.found.selected[0].name)
+    sole = sole_runs(box, kept)
+    every = [msgspec.structs.replace(each, sole_run=sole.get(each.name)) for each in every]
     if holdout is not None:
+        for name, run in sole.items():
+            holdout = holdout.resting_on(name, run)
         every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
     refused = [each for each in every if each.confirmed is False]
     judged = every
@@ -118,7 +123,9 @@ def conclude(
     walks = [
         each
         for each in effects
-        if (holdout is not None and holdout.may_be_walk(each.name)) or (each.of_biases and not each.confirmed)
+        if each.sole_run is not None
+        or (holdout is not None and holdout.may_be_walk(each.name))
+        or (each.of_biases and not each.confirmed)
     ]
     is_excess = declared is not None and excess.is_excess
     doubtful = (*walks, *(each for each in untold if each not in walks))
