@@ -106,10 +106,11 @@ def _of_biases(found: FoundEffect, test: BiasTest, words: Wording) -> str:
             f"{test.runs}次试验的零偏随试验台而异：{size}，p = {p_value}（F检验）。",
         )
     return words.of(
-        f"The biases of all {test.runs} runs follow it: {size} over all of them, p = {p_value} (Student's t; causes "
-        f"that differ between runs, of which {test.tests} could be tested).",
+        f"The biases of all {test.runs} runs follow it: {size} over all of them, p = {p_value} (Student's t, for "
+        f"biases that are independent from run to run; causes that differ between runs, of which {test.tests} could be "
+        "tested).",
         f"全部{test.runs}次试验的零偏随其变化：全部试验的系数为{size}，p = {p_value}"
-        f"（t检验；共检验{test.tests}种仅在试验之间不同的原因）。",
+        f"（t检验，设各次试验的零偏相互独立；共检验{test.tests}种仅在试验之间不同的原因）。",
     )
 
 

@@ -43,6 +43,8 @@ def test_two_sizes_of_one_cause_are_named_by_the_runs_that_give_them(per_day: fl
         for size, wanted in ((own, of_training), (test, of_all)):
             bounds = words.size(size, "deg/h/day").removesuffix(" deg/h/day")
             assert text.count(bounds) == text.count(wanted.format(bounds)) > 0
+    assert "for biases that are independent from run to run" in said(found, Wording("en"))
+    assert "设各次试验的零偏相互独立" in said(found, Wording("zh"))
 
 
 def test_with_no_run_held_out_a_cause_has_one_size() -> None:
