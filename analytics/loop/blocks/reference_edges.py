@@ -17,6 +17,7 @@ _MOVING_DEG_PER_S, _ALONG = 0.1, 0.1
 _FEWEST_STEADY = 10
 _SEVERAL_S = 0.5  # between readings, up to which a second has several
 _RESOLVED = 4.0  # readings a block, from which they show a ramp
+_ONE_A_BLOCK = 1 + 1e-6  # part of a block between readings beyond which blocks have none of their own
 _FOLLOWED = 0.02  # part of an edge by which the signal may differ where both are means over the same times
 _HELD = 0.01  # of the range of a channel, within which it stays where it is
 
@@ -118,9 +119,10 @@ def unresolved(
 
     An edge somewhere between two readings gives the mean of a block of T an uncertainty of edge*interval/(sqrt(12)*T);
     a ramp does not. A block is left out if that exceeds 3 standard deviations of the white noise of its mean, by the
-    run's median, and 10 times what is usual in the run (a tenth of its blocks are better). Where samples come as seldom
-    as the readings, both may be means over the same times and show every edge as it is: then the samples decide, see
-    `is_followed`; of few a block, ramps count as edges.
+    run's median, and 10 times what is usual in the run (a tenth of its blocks are better). Where blocks have no reading
+    of their own a straight line stands for the motion between two, and what is usual is no excuse. Where samples come
+    as seldom as the readings, both may be means over the same times and show every edge as it is: then the samples
+    decide, see `is_followed`; of few a block, ramps count as edges.
     """
     channel = run.channels.get("input_rate")
     none = np.zeros(len(run), dtype=np.bool_)
@@ -139,11 +141,11 @@ def unresolved(
     is_still = is_steady(run.channels.get("table_rate", channel), commanded)
     is_seen = (unsure <= np.maximum(_BEYOND_NOISE * noise, _BEYOND_USUAL * usual)) | is_still
     across = np.asarray(~is_seen & ~gone)
-    if not is_alike:
-        return across
     reference, least = channel.mean * factor, conversion("deg/s", run.unit_of_measure)[0] * _MOVING_DEG_PER_S
     # in a run that moves throughout, no block differs from what is usual
     moving = across | ((edges > least) & (unsure > _BEYOND_NOISE * noise) & ~is_still & ~gone)
+    if not is_alike:
+        return moving if motion.interval_s > _ONE_A_BLOCK * run.block_s else across
     if is_followed(run.value, reference, edges, moving):
         return none
     known = np.isfinite(run.value) & np.isfinite(reference) & ~gone

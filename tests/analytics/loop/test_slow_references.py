@@ -131,6 +131,22 @@ def test_a_delay_that_two_rates_cannot_tell_is_not_confirmed(tested: TestedUnits
         assert any("is not confirmed" in each for each in found.limits)
 
 
+def test_of_a_swing_that_is_read_less_than_once_a_block_no_line_is_found(tested: TestedUnits) -> None:
+    """Straight lines between its readings left "periodic line: amplitude 8,504 deg/h", confirmed."""
+    read_s = np.arange(0.0, DURATION_S, 60.0)
+    for number in range(4):
+        gyro, reference = (
+            30.0 * np.sin(2 * np.pi * s / 250.0 + number) for s in (np.arange(0.0, DURATION_S, GYRO_S), read_s)
+        )
+        stored(tested, gyro, reference, 60.0, number)
+    reduction = reduced(tested)
+    assert sum(map(len, reduction.runs)) < 20
+    found = diagnose(reduction.runs, MODEL)
+    assert (found.verdict, found.effects) == (ModelVerdict.NOT_ENOUGH_DATA, ())
+    assert [each.text for each in reduction.notes if "have no reading each, and are left out" in each.text]
+    assert [each.text for each in reduction.notes if "record it more often than once in 60 s" in each.text]
+
+
 def test_at_one_rate_nothing_is_lost_and_a_saturation_is_named(tested: TestedUnits) -> None:
     """A hard limit at 40 deg/s on a table that always moves: "not in the form of any effect of the library"."""
     rng, read_s = np.random.default_rng(5), np.arange(0.0, DURATION_S, GYRO_S)

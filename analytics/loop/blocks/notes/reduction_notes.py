@@ -152,11 +152,9 @@ def two_rates(reference_s: float, signal_s: float, block_s: float) -> list[Note]
         f"相当于{least}以下延时的时间偏移或角加速度效应，可能只是两者时刻之差的残余",
     )
     if reference_s > block_s * (1.0 + 1e-9):
-        longer = f"--block {reference_s:g}s"
         text = Bilingual(
-            f"{text}; where blocks have no reading of their own a straight line stands for the swing between two, and "
-            f"scale factor and offset are wrong: {longer}",
-            f"{text.zh}；没有自身基准读数的数据块以两读数间的直线代替摆动，标度因数与偏移均有误差：用{longer}",
+            f"{text}; blocks of {block_s:g} s have no reading each, and are left out where it swings",
+            f"{text.zh}；并非每个{block_s:g} s数据块都有基准读数，摆动处的数据块已略去",
         )
     return [Note("two_rates", text, "input_rate", is_limit=True)]
 
