@@ -27,6 +27,10 @@ _PUT = {
     "to_log": "insert or replace into to_log values (?, ?)",
     "state": "insert or replace into state values (?, ?)",
 }
+# errors of the disk, which say nothing of the content
+_OF_DISK = {
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY
+}  # fmt: skip
 LogDocument = AlertRaised | AlertCleared | AlertSent
 
 
@@ -109,11 +113,14 @@ class AlertFile(Closing):
         except (sqlite3.Error, OSError) as error:
             raise _unwritable(self._path, error) from error
         try:
-            self._base.executescript(f"pragma synchronous = full; {_TABLES} pragma user_version = {_FORMAT};")
+            self._base.execute("pragma synchronous = full")
+            if self._base.execute("pragma user_version").fetchone() == (0,):  # else it may be on a full disk
+                self._base.executescript(f"{_TABLES} pragma user_version = {_FORMAT};")
             self.kept = _kept(self._base)
         except (sqlite3.Error, msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
             self._base.close()
-            raise _unreadable(self._path, error) from error
+            of_disk = getattr(error, "sqlite_errorcode", 0) & 0xFF in _OF_DISK
+            raise (_unwritable if of_disk else _unreadable)(self._path, error) from error
 
     def write(self, alerts: Mapping[str, Alert | None], to_log: Mapping[int, LogDocument | None], segment: str) -> None:
         """Write alerts and documents that have changed, all or nothing, durably; None removes one."""

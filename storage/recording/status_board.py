@@ -1,5 +1,6 @@
 """The status of every role of a store, each a small file in its folder `status`."""
 
+import errno
 import threading
 import time
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ _FORGET_AFTER_S = 7 * 86_400.0
 
 
 class StatusBoard:
-    """Keeps the newest status of every role of a store; where the disk refuses, the old one stays."""
+    """Keeps the newest status of every role of a store, on a full disk in the place of the old one."""
 
     def __init__(self, store: Store) -> None:
         self._folder = store.folder / FOLDER
@@ -37,8 +38,7 @@ class StatusBoard:
                 return
             self._names.add(name)
             kept = msgspec.structs.replace(status, kept_ns=uptime_ns(), kept_boot=boot())
-            with replacement(self._folder / name) as fresh:
-                fresh.write_bytes(encode_status(kept))
+            _write(self._folder / name, encode_status(kept))
             if by and status.file_name in self._names:  # from before the recorder had security
                 self._names.discard(status.file_name)
                 (self._folder / status.file_name).unlink(missing_ok=True)
@@ -51,6 +51,19 @@ def read_statuses(store: Store) -> list[RoleStatus]:
         with suppress(OSError, WireError):
             found.append(decode_status(path.read_bytes()))
     return sorted(found, key=lambda each: (each.role, each.name))
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Replace a file; on a full disk write over it, as its block is there: a paused recorder says why."""
+    try:
+        with replacement(path) as fresh:
+            fresh.write_bytes(content)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        with path.open("r+b", buffering=0) as file:
+            file.write(content)
+            file.truncate(len(content))
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -5,12 +5,19 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+
+from analytics.alerts.kept_alerts import AlertFile
+from storage.recording.status_board import StatusBoard, read_statuses
+from storage.store import Store
+from stream.errors import StoreError
+from stream.status.role_status import Role, RoleState, new_status
 
 Start = Callable[..., Any]
 SAMPLES = 300_000
@@ -68,6 +75,31 @@ def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     record.stop()
     assert record.process.returncode == 0, record.errors
     check(gyrofleet, store)
+
+
+def filled(disk: Path) -> None:
+    """Leave no block of a disk free."""
+    with suppress(OSError), (disk / "ballast").open("ab", buffering=0) as file:
+        while file.write(bytes(4096)):
+            pass
+
+
+def test_on_a_full_disk_a_role_says_why_it_waits_and_alerts_go_on(small_disk: Path) -> None:
+    store = Store.create(small_disk / "store")
+    board = StatusBoard(store)
+    with AlertFile(store) as file:
+        file.write({}, {}, "00000007")
+    board.put(new_status(Role.RECORD, 1))
+    filled(small_disk)
+    board.put(new_status(Role.RECORD, 1, state=RoleState.PAUSED, trouble="the disk is full"))
+    (status,) = read_statuses(store)
+    assert (status.state, status.trouble) == (RoleState.PAUSED, "the disk is full")
+    with AlertFile(store) as file:
+        assert file.kept.segment == "00000007"
+    (store.folder / "alerts" / "alerts.db").unlink()
+    filled(small_disk)
+    with pytest.raises(StoreError, match="free or repair the disk"):
+        AlertFile(store)
 
 
 def test_a_lake_is_rebuilt_when_a_full_disk_has_room_again(
