@@ -53,13 +53,13 @@ class Changes(NamedTuple):
 def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes | NotComputed:
     """Find the changes of level in a series whose noise may be correlated from point to point.
 
-    values = levels + wander + scatter, where the wander is autoregressive with any correlation from 0 to 0.99 and any
-    share of the variance. The evidence for a change is how much more probable it makes the values, averaged over all
-    moments and noises, with flat priors of levels and variance; a change counts where wandering noise alone shows such
-    evidence with at most the probability `false_alarm`. Two changes at once, a bump that returns, are tried as well.
-    Outliers, beyond 5 standard deviations from the median of their neighbours, are clipped to there first. Where a
-    straight line makes the series more probable, it drifts and does not change. The bounds hold 95 % of the
-    probability of moment and size over all noises.
+    values = levels + wander + scatter, where the wander is autoregressive with any correlation from 0 to 0.99 and
+    any share of the variance. The evidence for a change is how much more probable it makes the values, averaged
+    over all moments and noises, with flat priors of levels and variance; a change counts where noise alone, with a
+    correlation of up to 0.8, shows such evidence with at most about the probability `false_alarm`. Two changes at
+    once, a bump that returns, are tried as well. Outliers, beyond 5 standard deviations from the median of their
+    neighbours, are clipped to there first. Where a straight line makes the series more probable, it drifts and does
+    not change. The bounds hold 95 % of the probability of moment and size over all noises.
 
     >>> series = np.random.default_rng(1).standard_normal(60) + np.repeat([0.0, 4.0], [40, 20])
     >>> found = change_points(series)
