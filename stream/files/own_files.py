@@ -24,7 +24,7 @@ def add_own(path: MutableSequence[str], room: str) -> None:
     >>> path
     ['analytics/metrics']
     """
-    for text in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+    for text in _named():
         folder = Path(text).absolute()
         if not any((folder / each).is_dir() for each in ROOMS):
             raise BadInput(
@@ -38,6 +38,20 @@ def add_own(path: MutableSequence[str], room: str) -> None:
                 whose = f"a file in {other}" if number else "a file of gyrofleet"
                 raise BadInput(f"{folder / room / twice[0]} has the name of {whose}: give it another one")
         path.append(str(folder / room))
+
+
+def _named() -> list[str]:
+    return [each for each in os.environ.get(VARIABLE, "").split(os.pathsep) if each]
+
+
+def own_folders() -> list[Path]:
+    """The folders in which files of the site's own are.
+
+    >>> own_folders()  # without GYROFLEET_OWN
+    []
+    """
+    rooms = (Path(text).absolute() / room for text in _named() for room in ROOMS)
+    return [each for each in rooms if each.is_dir()]
 
 
 def files_of(package: str) -> list[Path]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from ingest.instruments import voltmeter
+from storage.store import Store
 from stream.errors import BadInput
 from stream.files.own_files import VARIABLE, add_own, files_of
 
@@ -35,6 +36,13 @@ EFFECTS = (
         reference="ACME QP-07", separating_test="steps of power", separating_test_zh="功率阶跃",
     ),
 )
+"""
+_ASK = """
+import sys
+from gyrofleet import main
+statement = "select metric from metric_names where metric = 'own_ratio'"
+sys.argv = ["gyrofleet", "sql", statement, "--json", "--store", sys.argv[1]]
+main()
 """
 _LOOK = """
 import json
@@ -68,6 +76,17 @@ def test_each_registry_finds_the_files_of_a_site(own: Path) -> None:
     )
     assert found.returncode == 0, found.stderr
     assert json.loads(found.stdout) == [True, True, True, '{"step":1}']
+
+
+def test_the_process_that_answers_statements_reads_the_files_of_a_site(own: Path, tmp_path: Path) -> None:
+    """Landlock had kept it from them: SQL over metrics failed with "Permission denied"."""
+    Store.create(tmp_path / "S")
+    found = subprocess.run(
+        [sys.executable, "-c", _ASK, tmp_path / "S"], env=os.environ | {VARIABLE: str(own)}, capture_output=True,
+        text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert found.stderr == ""
+    assert json.loads(found.stdout) == [{"metric": "own_ratio"}]
 
 
 def test_a_file_with_the_name_of_one_of_the_program_is_refused(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:

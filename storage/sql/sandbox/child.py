@@ -19,6 +19,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from storage.sql.sandbox.landlock import allow_reading_only
 from stream.decoding import converted, decode_json
+from stream.files.own_files import own_folders
 from stream.no_pandas import hide_pandas
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ def system_paths() -> set[str]:
     """Folders and files that Python and its libraries read."""
     folders = {sys.prefix, sys.base_prefix, sys.exec_prefix, sys.base_exec_prefix, *sys.path, *_SYSTEM}
     folders.update(os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+    folders.update(str(each.resolve()) for each in own_folders())  # of metrics, which are packages as well
     return {each for each in folders if each}
 
 
