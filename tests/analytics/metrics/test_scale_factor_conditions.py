@@ -62,6 +62,26 @@ def test_a_temperature_that_moves_with_the_rates_is_named(
             assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
 
 
+@pytest.mark.parametrize("order", ["positive first", "signs alternate"])
+def test_a_zero_that_drifts_through_the_rates_is_named_with_its_part_of_the_slope(tested: Any, order: str) -> None:
+    """The slope of the drift by numpy: 0.01 deg/s from the rest before to the rest after."""
+    signed = [*RATES, *(-each for each in RATES)]
+    rates = signed if order == "positive first" else [sign * each for each in RATES for sign in (1, -1)]
+    rng = np.random.default_rng(4)
+    t_ns = START_NS
+    for number, rate in enumerate([0.0, *rates, 0.0]):
+        values = rate + 0.01 * number / (len(rates) + 1) + 1e-4 * rng.standard_normal(100)
+        words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
+        t_ns = tested.step("r1", "U1", {"rate": (values, "deg/s")}, t0_ns=t_ns, **words)
+    slope, _ = np.polyfit(rates, 0.01 * np.arange(1, len(rates) + 1) / (len(rates) + 1), 1)
+    remark = by_standard(tested.metric("scale_factor"))["GJB2426A"]["remark"] or ""
+    if order == "positive first":
+        assert remark.startswith("the output at rest moved by 0.01 deg/s through the rates: ")
+        assert float(remark.split("changes K by ")[1].split()[0]) == pytest.approx(1e6 * slope, rel=0.06)
+    else:
+        assert "changes K" not in remark
+
+
 @pytest.mark.long
 def test_from_a_file_to_the_answer(tmp_path: Path, run_command: Callable[..., Any]) -> None:
     """A table that reports its rate to 0.01 %, in a chamber that warms by 8 degC."""
