@@ -13,12 +13,13 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.events import StationChange, TurnOnScatter
 from analytics.loop.effects.monomial import PREFIX, Monomial, channel_linear, is_linear
+from analytics.loop.effects.temperature import SensorLag
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 from stream.files.own_files import imported
 
 _PACKAGE = __name__.rpartition(".")[0]
-_NOT_SEARCHED = (TurnOnScatter, StationChange)  # noise, and what is of no unit
+_NOT_SEARCHED = (TurnOnScatter, StationChange, SensorLag)  # noise, and what is of no unit or beside others only
 
 
 @functools.cache

@@ -5,10 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, number, positive
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Role, Shape, ShapeParameter, number, positive
 from analytics.loop.effects.block_kernels import lagged, played, share_above, slope_per_s
 from analytics.loop.effects.monomial import Monomial
 from stream.batch import FloatArray
+
+SENSOR_LAG = "temperature_sensor_lag"
+MOST_SENSOR_LAG_S = 120.0  # of a thermometer in still air
 
 EFFECTS = (
     Monomial(
@@ -203,6 +206,38 @@ class ThermalLag(Effect):
             inner = (inner * (1.0 - half) + half * (sensor[i - 1] + sensor[i])) / (1.0 + half)
             difference[i] = inner - sensor[i]
         return coefficients[0] * difference
+
+
+class SensorLag(Effect):
+    """Second derivative of the temperature: what a thermometer with a lag leaves of an effect of the rate.
+
+    The search does not try it: beside a coefficient of the temperature alone its lag is a time offset.
+    """
+
+    name, en, zh = SENSOR_LAG, "lag of the temperature sensor", "温度传感器响应滞后"
+    needs = ("temperature",)
+    role = Role.ALIAS
+    kind = EffectKind.EVENT
+    per = "{temperature}/s^2"
+    cause = (
+        "The sensor follows the temperature that it measures with a time constant. What the gyro does by its "
+        "temperature is then due to the reading and its derivative, what it does by the rate of its temperature to "
+        "the first and second derivative."
+    )
+    cause_zh = (
+        "传感器以时间常数跟随所测温度。陀螺随温度的变化表现为读数及其导数，随温度变化率的变化表现为一阶与二阶导数。"
+    )
+    reference = "IEEE 952-2020, bias temperature model"
+    aliases = ("temperature_rate", "temperature_time_offset", "thermal_lag")
+    separating_test = "measure the time constant of the sensor by a step, or record a second, faster sensor beside it"
+    separating_test_zh = "用温度阶跃测出传感器的时间常数，或在旁边加装响应更快的传感器"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return slope_per_s(run, "temperature", slope_per_s(run, "temperature"))[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        slope = np.gradient(channels["temperature"], time_s)
+        return np.asarray(coefficients[0] * np.gradient(slope, time_s), np.float64)
 
 
 class ThermalHysteresis(Effect):

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect
+from analytics.loop.effects.temperature import SENSOR_LAG
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number, sole_run
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
@@ -149,9 +150,12 @@ def alternative(other: ConfoundedEffect, words: Wording) -> str:
     needed, most = (f"{number(each)} {other.implied_unit}" for each in (other.implied, other.most))
     if other.is_plausible:
         return f"{name}: {behind}{words.of(f'; it would need at least {needed}', f'；至少须有{needed}')}"
+    if other.name == SENSOR_LAG:
+        bound = words.of(f"sensors lag by {most} at most", f"传感器滞后至多{most}")
+    else:
+        bound = words.of(f"clocks are off by {most} at most", f"时钟偏差至多{most}")
     return f"{name}: " + words.of(
-        f"it would need at least {needed}, but clocks are off by {most} at most: unlikely",
-        f"至少须有{needed}，而时钟偏差至多{most}：不大可能",
+        f"it would need at least {needed}, but {bound}: unlikely", f"至少须有{needed}，而{bound}：不大可能"
     )
 
 

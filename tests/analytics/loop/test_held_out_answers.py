@@ -16,7 +16,7 @@ from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.held_out.error_report import error_gain
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
-from analytics.loop.tracing.verdict.caveats import holdout_caveats
+from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats
 from tests.bench.loop_campaign import Campaign, Planted
 
 DECLARED = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)

@@ -12,7 +12,8 @@ from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorGain, ExpectedGain, HeldOutAnswer, Holdout, HoldoutSlope
-from analytics.loop.tracing.verdict.caveats import holdout_caveats, untold_caveat
+from analytics.loop.tracing.verdict.caveats import untold_caveat
+from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats
 from tests.diagnosed_units import NOISE, SHUPE, a_finding, diagnosed
 
 

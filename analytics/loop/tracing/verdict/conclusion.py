@@ -25,7 +25,6 @@ from analytics.loop.tracing.verdict.adequacy import detection_limits
 from analytics.loop.tracing.verdict.caveats import (
     caveats,
     differing_caveats,
-    refit_caveats,
     undetermined_terms,
     unexplained_error,
     untold_caveat,
@@ -42,7 +41,9 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_clock_bounds,
     with_untold_delay,
 )
+from analytics.loop.tracing.verdict.held_out_caveats import refit_caveats
 from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
+from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
@@ -117,6 +118,7 @@ def conclude(
     effects = tuple(
         with_untold_delay(with_clock_bounds(each, declared_model), declared_model, case.stack.runs) for each in effects
     )
+    effects = with_sensor_lag(effects, kept)
     untold = [each for each in effects if is_untold(each, case.stack.runs)]
     remarks += map(untold_caveat, untold)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
