@@ -151,6 +151,22 @@ def test_a_form_needs_it_too_and_then_goes_back_to_its_page(served: Served) -> N
     assert authors["bench door was open"] == "otto"
 
 
+@pytest.mark.parametrize(("site", "is_shown"), [("same-origin", True), ("cross-site", False)])
+def test_what_was_written_is_given_back_where_the_session_has_ended(
+    served: Served, site: str, *, is_shown: bool
+) -> None:
+    fields = {"run": "run-2", "text": "bench <b>door</b> was open", "csrf": "old"}
+    headers = {"Sec-Fetch-Site": site, "Accept": "text/html"}
+    with served.browser("otto") as browser:
+        refused = browser.post("/act/add_note", data=fields, headers=headers)
+        browser.cookies.clear()
+        ended = browser.post("/act/add_note", data=fields, headers=headers)
+    assert refused.status_code == 403
+    for answer in (refused, ended):
+        assert ("bench &lt;b&gt;door&lt;/b&gt; was open" in answer.text) is is_shown
+        assert "<b>door" not in answer.text
+
+
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "", "a@b", "[::1"])
 def test_another_host_name_is_refused(served: Served, host: str) -> None:
     with served.program() as client:

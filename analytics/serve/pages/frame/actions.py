@@ -37,6 +37,7 @@ ACTIONS: dict[str, Operation[Any, Any]] = {
 }
 _APART = ("csrf", "back")
 _OF_PATH = "path."
+_WRITTEN = ("text", "reason")  # what a person has typed
 
 
 async def act(request: Request, *, service: Service) -> Response:
@@ -44,12 +45,13 @@ async def act(request: Request, *, service: Service) -> Response:
     operation = ACTIONS.get(request.path_params["action"])
     if operation is None:
         raise NotFound(f"there is no action {request.path_params['action']!r}; there are {', '.join(ACTIONS)}")
-    person = admitted(request.scope, operation.role)
     content = await limited_body(request)
     try:
         fields = dict(parse_qsl(content.decode(), keep_blank_values=True, max_num_fields=50))
     except ValueError as error:
         raise BadInput(f"the form cannot be read: {error}") from error
+    request.state.written = "\n".join(fields[name] for name in _WRITTEN if fields.get(name))
+    person = admitted(request.scope, operation.role)
     check_change(request.scope, fields.get("csrf"))
     path = {name.removeprefix(_OF_PATH): value for name, value in fields.items() if name.startswith(_OF_PATH)}
     given = {name: each for name, each in fields.items() if name not in _APART and not name.startswith(_OF_PATH)}

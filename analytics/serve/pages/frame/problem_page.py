@@ -22,13 +22,21 @@ def problem_response(request: Request, error: GyrofleetError) -> Response:
     path = request.url.path
     if path.startswith(_OF_PROGRAMS) or "text/html" not in request.headers.get("accept", ""):
         return Response(msgspec.json.encode(document_of(error)), status, headers_of(error), "application/json")
-    if isinstance(error, Unauthorised):
+    written = _written(request)
+    if isinstance(error, Unauthorised) and not written:
         return _to_login(request)
-    answer = page(request, "problem.html.jinja", {"status": status, "message": str(error)}, status)
+    told = {"status": status, "message": str(error), "written": written}
+    answer = page(request, "problem.html.jinja", told, status)
     answer.headers.update(headers_of(error))
     if request.method == "GET" and status in _PASSING:
         answer.headers["Refresh"] = answer.headers.get("Retry-After", _AGAIN_S)  # the browser asks once more by itself
     return answer
+
+
+def _written(request: Request) -> str:
+    """What a person typed into a form of this site that was refused: a session that has ended must not lose it."""
+    is_own = request.headers.get("sec-fetch-site") == "same-origin"
+    return str(getattr(request.state, "written", "")) if is_own else ""
 
 
 def _to_login(request: Request) -> Response:
