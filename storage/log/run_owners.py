@@ -43,5 +43,5 @@ class RunOwners:
 
     def check(self, run: str, station: str) -> None:
         """Raise OfAnotherStation if a station may not add to a run."""
-        if (reason := self.reason_against(run, station)) is not None:
-            raise OfAnotherStation(reason)
+        if self._stations.get(run, station) != station:
+            raise OfAnotherStation(self.reason_against(run, station))

@@ -18,7 +18,7 @@ from stream.errors import GyrofleetError, WireError
 from stream.events import AnyDocument, ApprovedAct, ModelActivated, RunEnded, RunStarted, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
-from stream.security.proof import Proven, SourceVerifier, split
+from stream.security.proof import SourceVerifier, split
 from stream.security.rights import Principal, Role
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import decode_batch, encode_preview, read_batch_head
@@ -159,25 +159,25 @@ class Intake:
             parsed = _checked_key(key)
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
-            proven = split(payload)
-            source = self._source_of(key, proven)
+            source, body = self._opened(key, payload)
             if isinstance(parsed, SampleKey):
                 if source is not None:
                     check_authority(source, key, parsed, None)
-                self._add_samples(key, parsed, payload, proven.body, arrival_ns, source)
+                self._add_samples(key, parsed, payload, body, arrival_ns, source)
             else:
-                self._add_document(key, parsed, payload, proven.body, arrival_ns, source)
+                self._add_document(key, parsed, payload, body, arrival_ns, source)
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
             self._keep_rejected(key, payload, arrival_ns)
 
-    def _source_of(self, key: str, message: Proven) -> Principal | None:
-        """Who sent a message, None without security; Forged if its proof is not valid, or cannot be read."""
+    def _opened(self, key: str, payload: bytes) -> tuple[Principal | None, bytes]:
+        """Who sent a message, None without security, and it without its proof; Forged if that is not valid."""
         if self._sources is None:
+            message = split(payload)
             message.check()
-            return None
-        return self._sources.source_of(key, message)
+            return None, message.body
+        return self._sources.opened(key, payload)
 
     def _check_owner(self, run: str, source: Principal | None) -> None:
         """Raise OfAnotherStation if a station adds to a run that another one began."""

@@ -2,17 +2,20 @@
 
 A link proves its other end only: a router in between could send in any name. So a source signs documents (ECDSA), and
 adds to samples and estimates a MAC for each recorder of the site, under a key that both derive from their certificates'
-keys (ECDH, HKDF): a signature takes as long as a hundred MACs. Proofs cover the key expression and the whole message.
+keys (ECDH, HKDF): a signature takes as long as fifty MACs. Proofs cover the key expression and the whole message. A MAC
+has session, number and tag (`message_macs`).
 
 A proof is the last field of a message: field 19 of a batch, `proof` of a document. Readers without it skip it.
 """
 
+import os
 import struct
 from base64 import b64decode, b64encode
 from functools import lru_cache
-from hashlib import blake2b
 from hmac import compare_digest
+from itertools import count
 from typing import NamedTuple
+from weakref import WeakSet
 
 import msgspec
 
@@ -20,17 +23,28 @@ from stream.decoding import msgpack_decoder
 from stream.errors import GyrofleetError, WireError
 from stream.security.access import AccessList
 from stream.security.credentials import Credentials
+from stream.security.message_macs import (
+    EARLIER_MAC_BYTES,
+    MAC_BYTES,
+    NUMBER_BYTES,
+    SESSION_BYTES,
+    TAG_BYTES,
+    MacSession,
+    earlier_mac,
+    message_context,
+)
 from stream.security.rights import Principal, Role, principal_of
 
 PROOF_BYTES = 1024  # room for a proof in a message
-_MAC_BYTES = 16
 _TAIL = b"\xc4\x00"  # no signature
-_AFTER = _MAC_BYTES + len(_TAIL)
-_MOST_BEGUN = 50_000  # key expressions, about 500 bytes each
-_MESSAGE, _ACKNOWLEDGEMENT = b"gyrofleet message\0", b"gyrofleet acknowledgement\0"
+_MOST_SESSIONS = 10_000  # of a verifier; one more begins anew
+_ACKNOWLEDGEMENT = b"gyrofleet acknowledgement\0"
 _JSON_FIELD = b',"proof":"'
 _FIELD = b"\x9a\x01"  # number 19, bytes
 _LENGTH = struct.Struct("<H")
+_HEAD_BYTES = len(_FIELD) + 3
+_AFTER_BYTES = len(_TAIL) + _LENGTH.size
+_VARIED_BYTES = NUMBER_BYTES + TAG_BYTES + _AFTER_BYTES  # from the number of a MAC to the end of the message
 
 
 class Forged(WireError):
@@ -118,48 +132,55 @@ def _field_head(size: int) -> bytes:
     return _FIELD + bytes((size & 0x7F | 0x80, size >> 7 & 0x7F | 0x80, size >> 14))
 
 
-class _Macs:
-    """MACs under one secret; what they have in common for a key expression is hashed once."""
-
-    def __init__(self, secret: bytes) -> None:
-        self._secret = secret
-        self._begun: dict[str, blake2b] = {}
-
-    def of(self, key: str, body: bytes) -> bytes:
-        """The MAC of a message."""
-        begun = self._begun.get(key)
-        if begun is None:
-            if len(self._begun) >= _MOST_BEGUN:
-                self._begun.clear()
-            begun = self._begun[key] = blake2b(_context(key), digest_size=_MAC_BYTES, key=self._secret)
-        state = begun.copy()
-        state.update(body)
-        return state.digest()
-
-
 class SourceProver:
     """Adds proofs to the messages of a source."""
 
     def __init__(self, credentials: Credentials) -> None:
         self._own, self._by = credentials, credentials.principal.common_name
-        recorders = [each for each in credentials.access.admitted if each.role is Role.RECORDER]
-        self._macs = [(each.common_name, _Macs(shared_key(credentials, each, credentials.principal, each)))
-                      for each in sorted(recorders)]  # fmt: skip
-        # of a proof for one recorder all is the same but the MAC
-        self._frame: tuple[bytes, bytes] | None = None
-        if len(self._macs) == 1:
-            packed = msgspec.msgpack.encode(Proof(self._by, {self._macs[0][0]: bytes(_MAC_BYTES)}))
+        recorders = sorted(each for each in credentials.access.admitted if each.role is Role.RECORDER)
+        self._secrets = {
+            each.common_name: shared_key(credentials, each, credentials.principal, each) for each in recorders
+        }
+        self.begin_session()
+        _provers.add(self)
+
+    def begin_session(self) -> None:
+        """Number messages from 0 again, under a key of its own."""
+        self._numbers = count()
+        self._name = os.urandom(SESSION_BYTES)
+        self._sessions = {recorder: MacSession(secret, self._name) for recorder, secret in self._secrets.items()}
+        # of a proof for one recorder all is the same but number and tag
+        self._frame: tuple[bytes, MacSession, bytes] | None = None
+        if len(self._sessions) == 1:
+            ((recorder, session),) = self._sessions.items()
+            packed = msgspec.msgpack.encode(Proof(self._by, {recorder: self._name + bytes(NUMBER_BYTES + TAG_BYTES)}))
             size = len(packed) + _LENGTH.size
-            self._frame = _field_head(size) + packed[:-_AFTER], packed[-len(_TAIL) :] + _LENGTH.pack(size)
+            before = packed[: -NUMBER_BYTES - TAG_BYTES - len(_TAIL)]
+            self._frame = _field_head(size) + before, session, _TAIL + _LENGTH.pack(size)
 
     def prove(self, key: str, body: bytes) -> bytes:
         """The message with its proof."""
-        if key.endswith("/event") or not self._macs:
-            return joined(body, Proof(self._by, signature=_signature(self._own, _context(key), body)))
+        if key.endswith("/event") or not self._sessions:
+            return joined(body, Proof(self._by, signature=_signature(self._own, message_context(key), body)))
+        number = next(self._numbers).to_bytes(NUMBER_BYTES, "big")
         if self._frame is not None and not body.startswith(b"{"):
-            before, after = self._frame
-            return b"".join((body, before, self._macs[0][1].of(key, body), after))
-        return joined(body, Proof(self._by, {name: macs.of(key, body) for name, macs in self._macs}))
+            before, session, after = self._frame
+            return b"".join((body, before, number, session.tag(number, key, body), after))
+        begun = self._name + number
+        macs = {recorder: begun + session.tag(number, key, body) for recorder, session in self._sessions.items()}
+        return joined(body, Proof(self._by, macs))
+
+
+_provers: WeakSet[SourceProver] = WeakSet()
+
+
+def _begin_sessions() -> None:
+    """In a forked process: it and its parent must not count under one key."""
+    for each in list(_provers):
+        each.begin_session()
+
+
+os.register_at_fork(after_in_child=_begin_sessions)
 
 
 class SourceVerifier:
@@ -168,54 +189,90 @@ class SourceVerifier:
     def __init__(self, credentials: Credentials) -> None:
         self._own = credentials
         self._name = credentials.principal.common_name
-        self._known: dict[str, tuple[Principal, _Macs]] = {}
-        # by what is the same in every proof of a source for this recorder alone
-        self._frames: dict[bytes, tuple[Principal, _Macs]] = {}
+        self._known: dict[str, tuple[Principal, bytes]] = {}
+        self._sessions: dict[tuple[str, bytes], MacSession] = {}
+        # by what is the same in every message of a session for this recorder alone, and after it its end
+        self._frames: dict[bytes, tuple[Principal, MacSession, bytes]] = {}
 
     @property
     def access(self) -> AccessList:
         """Who is admitted, and the site's rules."""
         return self._own.access
 
+    def opened(self, key: str, payload: bytes) -> tuple[Principal, bytes]:
+        """Who sent a message, and the message without its proof; raises Forged as `source_of`."""
+        size = _HEAD_BYTES + (payload[-2] | payload[-1] << 8) if len(payload) > _VARIED_BYTES else 0
+        found = self._frames.get(payload[-size:-_VARIED_BYTES])
+        if found is not None:
+            principal, session, after = found
+            if payload.endswith(after):
+                body = payload[:-size]
+                number = payload[-_VARIED_BYTES : NUMBER_BYTES - _VARIED_BYTES]
+                tag = payload[NUMBER_BYTES - _VARIED_BYTES : -_AFTER_BYTES]
+                if not compare_digest(tag, session.tag(number, key, body)):
+                    raise Forged(f"its proof is not that of {principal}")
+                return principal, body
+        message = split(payload)
+        principal = self.source_of(key, message)
+        if not payload.startswith(b"{"):
+            self._learn(principal, message, payload)
+        return principal, message.body
+
+    def _learn(self, principal: Principal, message: Proven, payload: bytes) -> None:
+        """Expect more messages of a session, of which one has just been checked."""
+        proof = message.proof
+        if proof is None or proof.signature or len(proof.macs) != 1 or payload != joined(message.body, proof):
+            return
+        session = self._sessions.get((proof.by, proof.macs[self._name][:SESSION_BYTES]))
+        if session is not None:
+            if len(self._frames) >= _MOST_SESSIONS:
+                self._frames.clear()
+            frame = payload[len(message.body) : -_VARIED_BYTES]
+            self._frames[frame] = principal, session, payload[-_AFTER_BYTES:]
+
     def source_of(self, key: str, message: Proven) -> Principal:
         """Who sent a message; raises Forged if its proof is not that of an admitted principal."""
-        body, packed = message
-        if packed is None:
+        body, proof = message.body, message.proof
+        if proof is None:
             raise Forged("it has no proof of its source")
-        frame = packed[:-_AFTER]
-        found = self._frames.get(frame)
-        if found is not None and packed.endswith(_TAIL):
-            principal, macs = found
-            if not compare_digest(packed[-_AFTER : -len(_TAIL)], macs.of(key, body)):
-                raise Forged(f"its proof is not that of {principal}")
-            return principal
-        proof = message.proof
-        assert proof is not None
         found = self._known.get(proof.by)
         if found is None:
             found = self._known[proof.by] = self._admitted(proof.by)
-        principal, macs = found
+        principal, secret = found
         if proof.signature:
-            is_valid = _is_signed(self._own, principal, proof.signature, _context(key), body)
+            is_valid = _is_signed(self._own, principal, proof.signature, message_context(key), body)
         else:
             mac = proof.macs.get(self._name, b"")
             if not mac:
                 raise Forged(f"{principal} does not know {self._own.principal}: copy the newest access.json there")
-            is_valid = compare_digest(mac, macs.of(key, body))
-            if is_valid and len(proof.macs) == 1 and packed == frame + mac + _TAIL:
-                self._frames[frame] = principal, macs
+            is_valid = self._is_mac(principal, secret, mac, key, body)
         if not is_valid:
             raise Forged(f"its proof is not that of {principal}")
         return principal
 
-    def _admitted(self, common_name: str) -> tuple[Principal, _Macs]:
+    def _is_mac(self, principal: Principal, secret: bytes, mac: bytes, key: str, body: bytes) -> bool:
+        if len(mac) == EARLIER_MAC_BYTES:
+            return compare_digest(mac, earlier_mac(secret, key, body))
+        if len(mac) != MAC_BYTES:
+            return False
+        name, number, tag = mac[:SESSION_BYTES], mac[SESSION_BYTES:-TAG_BYTES], mac[-TAG_BYTES:]
+        of_session = principal.common_name, name
+        session = self._sessions.get(of_session) or MacSession(secret, name)
+        if not compare_digest(tag, session.tag(number, key, body)):
+            return False
+        if len(self._sessions) >= _MOST_SESSIONS:
+            self._sessions.clear()
+        self._sessions[of_session] = session
+        return True
+
+    def _admitted(self, common_name: str) -> tuple[Principal, bytes]:
         try:
             principal = principal_of(common_name)
         except GyrofleetError as error:
             raise Forged(str(error)) from error
         if (reason := self._own.access.reason_against(principal)) is not None:
             raise Forged(reason)
-        return principal, _Macs(shared_key(self._own, principal, principal, self._own.principal))
+        return principal, shared_key(self._own, principal, principal, self._own.principal)
 
 
 def signed_acknowledgement(credentials: Credentials, content: bytes) -> bytes:
@@ -247,10 +304,6 @@ def shared_key(own: Credentials, other: Principal, source: Principal, recorder: 
     assert public is not None
     about = f"gyrofleet mac\0{source.common_name}\0{recorder.common_name}".encode()
     return HKDF(SHA256(), 32, None, about).derive(own.key.exchange(ECDH(), public))
-
-
-def _context(key: str) -> bytes:
-    return _MESSAGE + key.encode() + b"\0"
 
 
 def _signature(own: Credentials, context: bytes, body: bytes) -> bytes:
