@@ -33,6 +33,11 @@ from tests.storage.lake.exported_views import LATER_NS, assert_same, export
 
 @pytest.fixture
 def documented(days: Filler) -> Filler:
+    return add_documents(days)
+
+
+def add_documents(days: Filler) -> Filler:
+    """Notes, and one estimate three times, in three segments."""
     point = EstimatePoint(tau_s=1.0, value=1.0, lo=0.5, hi=2.0, edf=3.0, n=4)
     estimate = EstimatePublished(
         run="r1",

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,9 @@ from storage.manifests.lake import read_manifest, write_manifest
 from storage.manifests.part import read_part, write_part
 from storage.segments.disk import sha256_of
 from storage.store import Store
-from tests.storage.conftest import Filler
+from tests.storage.conftest import Filler, fill_days
 from tests.storage.lake.exported_views import LATER_NS
+from tests.storage.lake.test_compaction import add_documents
 from tests.storage.lake.test_compaction import documented as documented
 
 # of each table a change that an answer would show
@@ -62,7 +64,7 @@ def changed(table: pa.Table, column: str, by: float | str) -> pa.Table:
     return table.set_column(place, table.schema.field(place), pa.array(values, table.schema.field(place).type))
 
 
-def merged(filler: Filler) -> Store:
+def merged_of(filler: Filler) -> Store:
     """A store whose days are one part each."""
     filler.build()
     with builder_lock(filler.store):
@@ -70,41 +72,52 @@ def merged(filler: Filler) -> Store:
     return filler.store
 
 
+@pytest.fixture(scope="module")
+def merged_store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Made once; tests change copies of it."""
+    filler = add_documents(fill_days(Filler(tmp_path_factory.mktemp("merged") / "store"), 4))
+    store = merged_of(filler)
+    filler.release()
+    return store
+
+
+@pytest.fixture
+def merged(merged_store: Store, tmp_path: Path) -> Store:
+    return Store.open(shutil.copytree(merged_store.folder, tmp_path / "merged"))
+
+
 def test_a_lake_that_was_not_touched_has_the_values_of_the_log(documented: Filler) -> None:
     documented.build()
     assert list(value_findings(documented.store)) == []
-    assert list(value_findings(merged(documented))) == []
+    assert list(value_findings(merged_of(documented))) == []
 
 
 @pytest.mark.in_gate("samples", "rollup_1s", "channels")
 @pytest.mark.parametrize("table", CHANGES)
-def test_a_changed_value_is_found_in_each_table(documented: Filler, table: str) -> None:
-    store = merged(documented)
-    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
-    forge(store, part, table, lambda rows: rows)
-    assert list(value_findings(store)) == [], "the same rows in another file"
-    forge(store, part, table, lambda rows: changed(rows, *CHANGES[table]))
-    assert list(lake_problems(store)) == [], "the hashes fit"
-    (finding,) = value_findings(store)
-    assert (finding.kind, finding.where) == ("lake_differs", str(store.lake / part / f"{table}.parquet"))
+def test_a_changed_value_is_found_in_each_table(merged: Store, table: str) -> None:
+    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
+    forge(merged, part, table, lambda rows: rows)
+    assert list(value_findings(merged)) == [], "the same rows in another file"
+    forge(merged, part, table, lambda rows: changed(rows, *CHANGES[table]))
+    assert list(lake_problems(merged)) == [], "the hashes fit"
+    (finding,) = value_findings(merged)
+    assert (finding.kind, finding.where) == ("lake_differs", str(merged.lake / part / f"{table}.parquet"))
     assert finding.what.startswith(("1 of its rows", "2 of its rows"))
 
 
 @pytest.mark.in_gate("events")
 @pytest.mark.parametrize("table", ["samples", "events", "rollup_1s"])
-def test_a_row_that_is_lost_or_there_twice_is_found(documented: Filler, table: str) -> None:
-    store = merged(documented)
-    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
-    forge(store, part, table, lambda rows: rows.slice(1))
-    assert [each.kind for each in value_findings(store)] == ["lake_differs"]
-    forge(store, part, table, lambda rows: pa.concat_tables([rows, rows.slice(rows.num_rows - 1)]))
-    assert [each.kind for each in value_findings(store)] == ["lake_differs"]
+def test_a_row_that_is_lost_or_there_twice_is_found(merged: Store, table: str) -> None:
+    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
+    forge(merged, part, table, lambda rows: rows.slice(1))
+    assert [each.kind for each in value_findings(merged)] == ["lake_differs"]
+    forge(merged, part, table, lambda rows: pa.concat_tables([rows, rows.slice(rows.num_rows - 1)]))
+    assert [each.kind for each in value_findings(merged)] == ["lake_differs"]
 
 
 @pytest.mark.long
-def test_two_values_exchanged_are_found(documented: Filler) -> None:
-    store = merged(documented)
-    part = read_manifest(store).parts[0].name
+def test_two_values_exchanged_are_found(merged: Store) -> None:
+    part = read_manifest(merged).parts[0].name
 
     def exchanged(rows: pa.Table) -> pa.Table:
         above = np.array(rows.column("above"))
@@ -113,33 +126,30 @@ def test_two_values_exchanged_are_found(documented: Filler) -> None:
         place = rows.schema.get_field_index("above")
         return rows.set_column(place, rows.schema.field(place), pa.array(above, pa.int32()))
 
-    forge(store, part, "samples", exchanged)
-    (finding,) = value_findings(store)
+    forge(merged, part, "samples", exchanged)
+    (finding,) = value_findings(merged)
     assert "2 of its rows" in finding.what
 
 
-def test_the_command_says_what_was_compared(documented: Filler, gyrofleet: Any) -> None:
-    store = merged(documented)
-    documented.release()
-    forge(store, read_manifest(store).parts[0].name, "samples", lambda rows: changed(rows, "above", 50))
-    plain = gyrofleet("verify", "--store", store.folder)
+def test_the_command_says_what_was_compared(merged: Store, gyrofleet: Any) -> None:
+    forge(merged, read_manifest(merged).parts[0].name, "samples", lambda rows: changed(rows, "above", 50))
+    plain = gyrofleet("verify", "--store", merged.folder)
     assert plain.code == 0
     assert "its values not compared with the log: --values" in plain.out
-    done = gyrofleet("verify", "--store", store.folder, "--values", "--json")
+    done = gyrofleet("verify", "--store", merged.folder, "--values", "--json")
     assert (done.code, done.json["sound"], done.json["has_values"]) == (1, False, True)
     assert [each["kind"] for each in done.json["findings"]] == ["lake_differs"]
 
 
 @pytest.mark.parametrize(("table", "column"), [("channels", "scale"), ("events", "document"), ("samples", "flags")])
-def test_a_column_that_is_taken_away_is_found(documented: Filler, table: str, column: str) -> None:
+def test_a_column_that_is_taken_away_is_found(merged: Store, table: str, column: str) -> None:
     """A part of this version has all columns; one of a version before is compared in those that it has."""
-    store = merged(documented)
-    part = next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
-    forge(store, part, table, lambda rows: rows.drop_columns([column]))
-    (finding,) = value_findings(store)
+    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
+    forge(merged, part, table, lambda rows: rows.drop_columns([column]))
+    (finding,) = value_findings(merged)
     assert finding.what.startswith(f"its columns are others ({column})")
-    forge(store, part, table, lambda rows: rows.append_column(column.upper(), pa.nulls(rows.num_rows, pa.int64())))
-    (finding,) = value_findings(store)  # SQL reads it whatever its case
+    forge(merged, part, table, lambda rows: rows.append_column(column.upper(), pa.nulls(rows.num_rows, pa.int64())))
+    (finding,) = value_findings(merged)  # SQL reads it whatever its case
     assert finding.what.startswith(f"its columns are others ({column}, {column.upper()})")
 
 
@@ -160,23 +170,20 @@ def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(document
     assert [each.kind for each in value_findings(store)] == ["lake_differs"]
 
 
-def test_a_part_that_cannot_be_built_is_not_called_sound(documented: Filler, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = merged(documented)
+def test_a_part_that_cannot_be_built_is_not_called_sound(merged: Store, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(lake_values, "build_part", full)
-    found = list(value_findings(store))
+    found = list(value_findings(merged))
     assert {(each.kind, each.severity.value) for each in found} == {("lake_not_compared", "unfinished")}
-    assert len(found) == len(read_manifest(store).parts)
+    assert len(found) == len(read_manifest(merged).parts)
 
 
-def test_parts_without_raw_rows_or_segments_are_compared_as_far_as_they_go(documented: Filler) -> None:
-    store = merged(documented)
-    documented.release()
-    first, *_ = read_manifest(store).parts
-    (store.log / f"{first.segments[0]}.mcap").rename(store.folder / "away")
-    kinds = [(each.kind, each.severity.value) for each in value_findings(store)]
+def test_parts_without_raw_rows_or_segments_are_compared_as_far_as_they_go(merged: Store) -> None:
+    first, *_ = read_manifest(merged).parts
+    (merged.log / f"{first.segments[0]}.mcap").rename(merged.folder / "away")
+    kinds = [(each.kind, each.severity.value) for each in value_findings(merged)]
     assert kinds == [("lake_not_compared", "note")]
-    assert Path(store.folder / "away").exists()
+    assert Path(merged.folder / "away").exists()
