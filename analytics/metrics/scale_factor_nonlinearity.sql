@@ -27,8 +27,17 @@ with pooled as (
     [{size: abs(z[1] / full_scale) * 1e6, u: z[2] / full_scale * 1e6, rate: z[3].command, freedom: z[4]}
       for z in list_zip(residuals, residual_uncertainties(dx, sxx, noise.u), points, noise.freedoms)] as deviations
   from scaled
+), drifting as (
+  select *,
+    drift_at(points, rest_before, rest_after) as drift,
+    slope_of_drift(points, slope_weights, rest_before, rest_after) as drift_slope
+  from deviating
+), bent as (  -- what a line leaves of the drift
+  select *,
+    list_max([abs(z[1] - list_avg(drift) - drift_slope * z[2]) for z in list_zip(drift, dx)]) / full_scale * 1e6 as drift_ppm
+  from drifting
 ), largest as (
-  select *, list_sort(deviations, 'desc')[1] as worst from deviating
+  select *, list_sort(deviations, 'desc')[1] as worst from bent
 )
 select
   unit, signal, run,
@@ -39,7 +48,9 @@ select
   worst.freedom as freedom,
   n,
   struct_insert(words, temperature := round(temperature, 2), rate_of_maximum_deg_per_s := worst.rate,
-    largest_rate_deg_per_s := largest_rate, remark := remark_on_points) as parameters,
+    largest_rate_deg_per_s := largest_rate,
+    remark := joined_remarks(remark_on_points, remark_on_drift('the nonlinearity', drift_ppm, worst.u, rest_before,
+      rest_after, output_unit))) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.2 (7)-(9)' else '7.2.2 (6)-(8)' end as clause,
   lack as reason

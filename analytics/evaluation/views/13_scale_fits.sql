@@ -132,22 +132,24 @@ create or replace macro remark_on_points(points) as
       format('the temperature moved by {:.1f} degC from rate to rate: what it does to the output is in the value, and the interval '
         'need not show it', list_max([p.temperature for p in points]) - list_min([p.temperature for p in points])) end), '');
 
--- By how much K would be off if the zero moved as steadily from step to step as the rests before and after say; the rates'
--- order decides. Named where the rests differ by more than three standard uncertainties and K by more than half of one.
-create or replace macro slope_of_drift(points, slope_weights, rest_before, rest_after) as
-  list_sum([
-    z[1] * (rest_after.output - rest_before.output) * (z[2]."index" - rest_before."index")
-      / (rest_after."index" - rest_before."index")
-    for z in list_zip(slope_weights, points)
-  ]);
+-- The output of a zero that moves as steadily from step to step as the rests before and after say, at each rate: what it
+-- does to a metric depends on the order of the rates.
+create or replace macro drift_at(points, rest_before, rest_after) as
+  [(rest_after.output - rest_before.output) * (p."index" - rest_before."index") / (rest_after."index" - rest_before."index")
+    for p in points];
 
-create or replace macro remark_on_drift(points, slope_weights, rest_before, rest_after, k, u_k, output_unit) as
+create or replace macro slope_of_drift(points, slope_weights, rest_before, rest_after) as
+  list_sum([z[1] * z[2] for z in list_zip(slope_weights, drift_at(points, rest_before, rest_after))]);
+
+-- Named where the rests differ by more than three standard uncertainties, and the metric by more than half of one.
+create or replace macro remark_on_drift(what, ppm, u_ppm, rest_before, rest_after, output_unit) as
   case when abs(rest_after.output - rest_before.output) > 3 * sqrt(rest_after.u ** 2 + rest_before.u ** 2)
-      and abs(slope_of_drift(points, slope_weights, rest_before, rest_after)) > 0.5 * u_k then
-    format('the output at rest moved by {:.3g} {} through the rates: a steady drift changes K by {:.2g} ppm in this order of '
-      || 'rates, which the interval does not hold; alternate the signs of the rates',
-      rest_after.output - rest_before.output, output_unit,
-      1e6 * slope_of_drift(points, slope_weights, rest_before, rest_after) / k) end;
+      and abs(ppm) > 0.5 * coalesce(u_ppm, 0) then
+    format('the output at rest moved by {:.3g} {} through the rates: a steady drift changes {} by {:.2g} ppm in this order of '
+      || 'rates, which the interval does not hold; measure the rates again in the reverse order',
+      rest_after.output - rest_before.output, output_unit, what, ppm) end;
+
+create or replace macro joined_remarks(one, other) as nullif(concat_ws('; ', one, other), '');
 
 create or replace macro lack_of_seconds(points, asked, clause) as
   case when list_min([p.lasts_s for p in points]) < asked * (1 - 1e-3) then
@@ -180,8 +182,7 @@ with sided as (
     case when output_unit = 'deg/s' then '1' when ends_with(output_unit, '/s') then output_unit[:-3] || '/deg'
       else output_unit || '/(deg/s)' end as k_unit,
     lack_of_answer(points, k, u_k, freedom_k) as lack_of_answer,
-    nullif(concat_ws('; ', remark_on_points(points),
-      remark_on_drift(points, slope_weights, rest_before, rest_after, k, u_k, output_unit)), '') as remark_on_points,
+    remark_on_points(points) as remark_on_points,
     lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
     lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
     lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,

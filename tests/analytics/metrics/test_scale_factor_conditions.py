@@ -62,24 +62,36 @@ def test_a_temperature_that_moves_with_the_rates_is_named(
             assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
 
 
-@pytest.mark.parametrize("order", ["positive first", "signs alternate"])
-def test_a_zero_that_drifts_through_the_rates_is_named_with_its_part_of_the_slope(tested: Any, order: str) -> None:
-    """The slope of the drift by numpy: 0.01 deg/s from the rest before to the rest after."""
-    signed = [*RATES, *(-each for each in RATES)]
-    rates = signed if order == "positive first" else [sign * each for each in RATES for sign in (1, -1)]
+@pytest.mark.parametrize("order", ["positive first", "signs alternate", "and back again"])
+def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(tested: Any, order: str) -> None:
+    """By lines of numpy through a drift of 0.01 deg/s from the rest before to the rest after."""
+    alternating = [sign * each for each in RATES for sign in (1, -1)]
+    rates = {
+        "positive first": [*RATES, *(-each for each in RATES)], "signs alternate": alternating,
+        "and back again": alternating + alternating[::-1],
+    }[order]  # fmt: skip
+    drift, x = 0.01 * np.arange(1, len(rates) + 1) / (len(rates) + 1), np.array(rates)
     rng = np.random.default_rng(4)
     t_ns = START_NS
-    for number, rate in enumerate([0.0, *rates, 0.0]):
-        values = rate + 0.01 * number / (len(rates) + 1) + 1e-4 * rng.standard_normal(100)
+    for rate, moved in zip([0.0, *rates, 0.0], [0.0, *drift, 0.01], strict=True):
+        values = rate + moved + 1e-4 * rng.standard_normal(100)
         words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
         t_ns = tested.step("r1", "U1", {"rate": (values, "deg/s")}, t0_ns=t_ns, **words)
-    slope, _ = np.polyfit(rates, 0.01 * np.arange(1, len(rates) + 1) / (len(rates) + 1), 1)
-    remark = by_standard(tested.metric("scale_factor"))["GJB2426A"]["remark"] or ""
-    if order == "positive first":
-        assert remark.startswith("the output at rest moved by 0.01 deg/s through the rates: ")
-        assert float(remark.split("changes K by ")[1].split()[0]) == pytest.approx(1e6 * slope, rel=0.06)
-    else:
-        assert "changes K" not in remark
+    lines = [np.polyfit(x[side], drift[side], 1) for side in (x != 0, x > 0, x < 0)]
+    slope, plus, minus = (line[0] for line in lines)
+    expected = {
+        "scale_factor": 1e6 * slope, "scale_factor_asymmetry": 1e6 * (plus - minus),
+        "scale_factor_nonlinearity": 1e6 * np.abs(drift - np.polyval(lines[0], x)).max() / max(RATES),
+    }  # fmt: skip
+    for metric, ppm in expected.items():
+        row = by_standard(tested.metric(metric))["GJB2426A"]
+        remark = row["remark"] or ""
+        if abs(ppm) > 0.6 * row["standard_uncertainty"] * (1e6 if metric == "scale_factor" else 1):
+            assert remark.startswith("the output at rest moved by 0.01 deg/s through the rates: "), metric
+            assert float(remark.split(" ppm in this order")[0].split()[-1]) == pytest.approx(ppm, rel=0.06)
+        else:
+            assert "in this order" not in remark, metric
+    assert bool(abs(expected["scale_factor_asymmetry"]) < 1.0) is (order == "and back again")
 
 
 @pytest.mark.long
