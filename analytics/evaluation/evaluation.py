@@ -27,7 +27,9 @@ from stream.quantities import conversion, is_angular_rate
 _TOO_LITTLE = "the steps hold too little to compute it"
 _WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
 _CONTRADICTS = "its interval does not contain the value: the definition of the metric is wrong"
-_UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
+_UNDEFINED = (
+    "no finite number: a division by 0, as where the output does not answer to the input, or one too large"
+)
 
 _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_uncertainty", "freedom")
 _TEXT, _REAL = pa.string(), pa.float64()
@@ -190,7 +192,7 @@ def _found(catalog: Catalog, metric: Metric) -> pa.Table:
             return _computed(catalog, metric)
     except (QueryError, NotKept, MemoryError, OSError, *OF_THE_COMPUTER):
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if isinstance(error, GyrofleetError) and not metric.own_file:
             raise
         raise failure(metric, f"{type(error).__name__}: {error}") from error

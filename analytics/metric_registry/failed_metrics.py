@@ -71,7 +71,7 @@ def lacking_modules() -> Mapping[str, str]:
         if metric.own_file and module:
             try:
                 importlib.import_module(module)
-            except Exception as error:  # noqa: BLE001  a module of the site's own raises any
+            except (Exception, SystemExit) as error:  # noqa: BLE001  a module of the site's own raises any
                 found[name] = f"{type(error).__name__}: {error}"
     return found
 

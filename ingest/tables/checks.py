@@ -54,7 +54,11 @@ class RowFilter:
         self._run = None if columns.run else _run_name(path, options.run)
         self._last_ns: dict[Owner, int] = {}
         self._seen: dict[Owner, int] = {}
-        self.clock = RunClock(options.start_ns, is_stamps=columns.time is not None and columns.time.is_stamp)
+        self.clock = RunClock(
+            options.start_ns,
+            is_stamps=columns.time is not None and columns.time.is_stamp,
+            is_durations=columns.time is not None and columns.time.is_duration,
+        )
         self.rows = self.bad_rows = self.repeated_times = 0  # rows with the time of the row before
         self.bad: list[BadRow] = []  # the first of them
 

@@ -75,11 +75,12 @@ class SignalColumn:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of times: numbers of `ns_per_unit` nanoseconds, or time stamps."""
+    """The column of times: numbers of `ns_per_unit` nanoseconds, or of a type of time stamps or of durations."""
 
     title: str
     ns_per_unit: int
     is_stamp: bool = False
+    is_duration: bool = False
 
 
 @dataclass
@@ -227,7 +228,7 @@ class _HeaderReader:
                 self.columns.remarks.append(f"column {title!r} holds time stamps; its unit [{unit}] is ignored")
             return
         if (own := self._durations.get(title)) is not None:
-            self.columns.time = TimeColumn(title, ns_per_unit(own))
+            self.columns.time = TimeColumn(title, ns_per_unit(own), is_duration=True)
             if unit is not None and time_unit(unit) != own:
                 self.columns.remarks.append(f"column {title!r} holds durations, in {own}; its unit [{unit}] is ignored")
             return

@@ -245,11 +245,12 @@ def stamp_text(ns: int) -> str:
 class RunClock:
     """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides.
 
-    Time stamps (`is_stamps`) are UTC whatever their year; numbers are from 1973-03-03 on, 1e8 s after 1970.
+    Time stamps (`is_stamps`) are UTC whatever their year, durations (`is_durations`) never; numbers are from 1973-03-03
+    on, 1e8 s after 1970.
     """
 
-    def __init__(self, start_ns: int | None, *, is_stamps: bool = False) -> None:
-        self._start_ns, self._is_stamps = start_ns, is_stamps
+    def __init__(self, start_ns: int | None, *, is_stamps: bool = False, is_durations: bool = False) -> None:
+        self._start_ns, self._is_stamps, self._is_durations = start_ns, is_stamps, is_durations
         self._first_ns = 0
         self.is_utc: bool | None = None
 
@@ -260,7 +261,8 @@ class RunClock:
 
     def settle(self, first_ns: int) -> None:
         """Decide by the time `first_ns`, as written; raises BadInput if it is UTC and a start is given as well."""
-        self.is_utc, self._first_ns = self._is_stamps or first_ns >= UTC_FROM_NS, first_ns
+        self.is_utc = self._is_stamps or (not self._is_durations and first_ns >= UTC_FROM_NS)
+        self._first_ns = first_ns
         if self.is_utc and self._start_ns is not None:
             first = stamp_text(first_ns) if self._is_stamps else f"{seconds_text(first_ns)} from 1970"
             raise BadInput(f"the times are UTC already (the first is {first}): leave out --start")
@@ -269,6 +271,8 @@ class RunClock:
         """Which of the times, as written, are of the other kind than the first; of stamps, years away from it."""
         if self._is_stamps:
             return np.abs(times_ns - self._first_ns) >= UTC_FROM_NS
+        if self._is_durations:
+            return np.zeros(times_ns.shape, np.bool_)
         return (times_ns < UTC_FROM_NS) if self.is_utc else (times_ns >= UTC_FROM_NS)
 
     @property

@@ -68,6 +68,13 @@ def test_durations_are_times_since_the_start(
     assert samples(deliver(table))["G1", "r", "rate"] == [(0, 1.0), (500_000_000, 2.0), (1_500_000_000, 3.0)]
 
 
+def test_durations_of_years_are_no_dates(write: Tool, deliver: Tool, samples: Tool) -> None:
+    elapsed = pl.Series([99_999_999, 100_000_000, 100_000_001]).cast(pl.Int64) * 1_000_000
+    path = write({"time": elapsed.cast(pl.Duration("us")), "rate[deg/s]": [1.0, 2.0, 3.0]}, "r.parquet")
+    times = [time for time, _ in samples(deliver(TableFile(path, G1)))["G1", "r", "rate"]]
+    assert times == [99_999_999 * 10**9, 100_000_000 * 10**9, 100_000_001 * 10**9]
+
+
 def test_durations_elsewhere_are_refused_with_what_to_do(write: Tool) -> None:
     lag = pl.Series([1, 2]).cast(pl.Duration("us"))
     with pytest.raises(BadInput, match="holds durations: give --rename 'elapsed=time'"):
