@@ -27,9 +27,7 @@ from stream.quantities import conversion, is_angular_rate
 _TOO_LITTLE = "the steps hold too little to compute it"
 _WITH_TEXT = "select * replace (to_json(parameters)::varchar as parameters) from ({})"
 _CONTRADICTS = "its interval does not contain the value: the definition of the metric is wrong"
-_UNDEFINED = (
-    "no finite number: a division by 0, as where the output does not answer to the input, or one too large"
-)
+_UNDEFINED = "no finite number: a division by 0, as where the output does not answer to the input, or one too large"
 
 _TEXTS, _NUMBERS = ("metric", "unit", "signal", "run"), ("lo", "hi", "standard_uncertainty", "freedom")
 _TEXT, _REAL = pa.string(), pa.float64()
