@@ -6,7 +6,7 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import FloatArray, IntArray
-from stream.compiled import kernel
+from stream.compiled import kernel, kernel_part
 
 
 def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) -> FloatArray:
@@ -31,7 +31,7 @@ def mean_slope_per_s(run: RunBlocks, channel: str, *, across_gaps: bool = True) 
     return slope if its.slope_per_s is None else np.where(np.isfinite(its.slope_per_s), its.slope_per_s, slope)
 
 
-@kernel
+@kernel_part()
 def _read_beside(value: FloatArray, i: int) -> tuple[int, int]:
     """The last block before i and the first after it that have a reading; i itself where there is none."""
     before = i - 1
@@ -43,23 +43,28 @@ def _read_beside(value: FloatArray, i: int) -> tuple[int, int]:
     return before if before >= 0 else i, after if after < value.size else i
 
 
-@kernel
+@kernel_part()
 def slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
     """Slope per slot from the last reading before block i to the first after it."""
     first, last = _read_beside(value, i)
     return float((value[last] - value[first]) / (slot[last] - slot[first])) if last > first else np.nan
 
 
-@kernel
+@kernel_part()
 def _smaller_change(slot: IntArray, value: FloatArray) -> FloatArray:
     """The smaller of the changes from each block to those before and after it; 0 without such a block."""
-    change = np.full(value.size, np.inf)
+    change = np.empty(value.size)  # loops, which compile in a quarter of the time of whole arrays
+    for i in range(value.size):
+        change[i] = np.inf
     for i in range(1, value.size):
         if slot[i] - slot[i - 1] == 1 and not (math.isnan(value[i]) or math.isnan(value[i - 1])):
             step = abs(value[i] - value[i - 1])
             change[i - 1] = min(change[i - 1], step)
             change[i] = step
-    return np.where(np.isinf(change), 0.0, change)
+    for i in range(value.size):
+        if math.isinf(change[i]):
+            change[i] = 0.0
+    return change
 
 
 @kernel
@@ -70,9 +75,10 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray, across_ga
     of them, the other, in which it is constant, determines the value at the edge. Blocks of one reading each, such as
     a mean, have no spread: the smaller of the changes to both neighbours replaces it (the minmod limiter).
     """
-    slope = np.full(value.size, np.nan)
+    slope = np.empty(value.size)
     smaller = _smaller_change(slot, value)
     for i in range(value.size):
+        slope[i] = np.nan
         if math.isnan(value[i]):
             continue
         change, reach = 0.0, 0.0

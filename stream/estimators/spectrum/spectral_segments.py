@@ -155,7 +155,8 @@ def _fill(
         _put(buffer, filled, start, values[taken : taken + size - start], reference)
         taken += size - start
         is_whole[row] = _window(buffer, window, windowed[row])
-        buffer[:half] = buffer[half:]
+        for i in range(half):
+            buffer[i] = buffer[half + i]
         filled = start = half
     return taken
 
