@@ -34,7 +34,10 @@ LOWEST = (
 )
 # more than there are processors: many tests wait for processes of their own
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
-EXAMPLES = (("ingest", "analytics"), ("stream", "storage"))
+# of examples in docstrings; those of the kernels first, which are compiled then
+PACKAGES = ("stream", "storage", "ingest", "analytics")
+# a fifth of its time looks for garbage, of which there is none; it would take up the search again by itself
+MYPY = "import gc; gc.disable(); gc.enable = lambda: None; from mypy.__main__ import console_entry; console_entry()"
 
 # tests make stores by the thousand, and what is recorded is synced
 MEMORY = Path("/dev/shm")
@@ -159,26 +162,24 @@ def main() -> None:
         install(bin_, f"{wheel}[{extras}]", *development_requirements())
         run(bin_ / "ruff", "check", ".")
         run(bin_ / "ruff", "format", "--check", ".")
-        logs = [there / f"{name}.txt" for name in ("sources", "documents", *map("-".join, EXAMPLES))]
-        meanwhile = [pool.submit(check_meanwhile, logs[0], (bin_ / "mypy",), (bin_ / "lint-imports",))]
+        logs = [there / f"{name}.txt" for name in ("sources", "documents", "examples")]
+        meanwhile = [pool.submit(check_meanwhile, logs[0], (bin_ / "python", "-c", MYPY), (bin_ / "lint-imports",))]
         project = beside_the_wheel(there)
         pytest = (bin_ / "python", "-m", "pytest")
         # once, else each of the parallel processes would compile the tests, and the machine code that they call
         collecting = (*pytest, "--collect-only", "tests")
         before = [pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)]
-        # examples in the docstrings, many in one process: each of several would import all modules to collect them
-        examples = [(log, (*pytest, "-q", "--pyargs", *names)) for log, names in zip(logs[2:], EXAMPLES, strict=True)]
-        # examples beside it would compile what it compiles
-        run(bin_ / "python", "-c", "from stream.worker.compile_kernels import warm_up; warm_up()", cwd=project)
-        before += [pool.submit(check_meanwhile, *each, cwd=project, niceness=0) for each in examples]
-        _, *of_examples = (each.result() for each in before)
+        # all in one process, which imports all modules once; that of `warm_up` compiles all kernels of estimators
+        examples = (*pytest, "-q", "--pyargs", *PACKAGES)
+        before.append(pool.submit(check_meanwhile, logs[2], examples, cwd=project, niceness=0))
+        _, of_examples = (each.result() for each in before)
         # runs the notebook; a warning, as of a link that leads nowhere, fails, also where no pages are written
         builder = "html" if everything else "dummy"
         sphinx = (bin_ / "sphinx-build", "-b", builder, "-q", "-W", "--keep-going", "docs", f"docs/_build/{builder}")
         meanwhile.append(pool.submit(check_meanwhile, logs[1], sphinx))
         testing = (*pytest, *PARALLEL, *chosen, "tests")
         print(f"\n$ {' '.join(map(str, testing))}", flush=True)
-        codes = [exit_code(testing, cwd=project, temporary=there), *of_examples, *(each.result() for each in meanwhile)]
+        codes = [exit_code(testing, cwd=project, temporary=there), of_examples, *(each.result() for each in meanwhile)]
         for log in logs:
             print(log.read_text(), flush=True)
         if any(codes):

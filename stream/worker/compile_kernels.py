@@ -73,6 +73,8 @@ def warm_up(*, is_beside: bool = False) -> None:
 
     It is kept on disk beside the modules, or in the user's cache directory where that cannot be written; compiling
     takes some seconds, once an installation.
+
+    >>> warm_up()
     """
     import numpy as np
 
