@@ -6,7 +6,7 @@ from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.effects.registry import effect
 from analytics.loop.effects.temperature import SENSOR_LAG
 from analytics.loop.report.report_tables import TextTable
-from analytics.loop.report.wording import LEAST_SHARE, Wording, number, sole_run
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number, slope_text, sole_run
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
@@ -63,13 +63,15 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
     if found.by_run and found.name != TURN_ON:
         yield _by_run(found, diagnosis, words)
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
-    if slope is not None:
-        value = f"{slope.slope:.3f} ± {slope.slope_se:.3f}"
+    if slope is not None and slope.tells_nothing:
+        yield words.of("The held-out runs have nothing that tells of it.", "留出试验没有可供判别的数据。")
+    elif slope is not None:
+        value = slope_text(slope, 3)
         answer = words.of(*_ANSWERS[slope.answer])
-        if slope.may_be_walk:
-            answer = words.of(*_WALKS[slope.answer])
-        elif slope.sole_run is not None:
+        if slope.sole_run is not None:
             answer = words.of("no confirmation, since ", "不作为证实，因") + sole_run(slope.sole_run, words)
+        elif slope.may_be_walk:
+            answer = words.of(*_WALKS[slope.answer])
         elif not slope.is_independent:
             answer = words.of(
                 "no confirmation, since the training runs alone do not show it",

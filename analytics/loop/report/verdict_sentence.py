@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analytics.loop.effects.events import STATION, TURN_ON
-from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent, sole_run
+from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent, slope_text, sole_run
 from analytics.loop.tracing.result.diagnosis_result import (
     BiasTest,
     ConfoundedEffect,
@@ -178,13 +178,20 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if found.of_biases is not None:
         return _followed(found, found.of_biases, slope, words)
+    if found.sole_run is not None:
+        return f"{sized}{words.of('; ', '；')}{sole_run(found.sole_run, words)}"
     if found.confirmed is False:
+        if slope is not None and slope.tells_nothing:
+            return words.of(
+                f"{name} was seen in the training runs, but the held-out runs have nothing that tells of it",
+                f"训练试验中见到{name}，但留出试验没有可供判别的数据",
+            )
         if slope is not None and slope.may_be_walk:
             return words.of(
                 f"{name} was seen in the training runs, but a bias that walks from run to run explains all runs better",
                 f"训练试验中见到{name}，但零偏在各次试验之间随机游走能更好地解释全部试验",
             )
-        size = "" if slope is None else words.of(f" (slope {_slope(slope)})", f"（斜率{_slope(slope)}）")
+        size = "" if slope is None else words.of(f" (slope {slope_text(slope)})", f"（斜率{slope_text(slope)}）")
         return words.of(
             f"{name} was seen in the training runs, but the held-out runs do not confirm it{size}",
             f"训练试验中见到{name}，但留出试验未予证实{size}",
@@ -200,8 +207,6 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
             f"{name} was seen, but {share} of its evidence comes from one run",
             f"见到{name}，但其证据的{share}来自同一次试验",
         )
-    if found.sole_run is not None:
-        return f"{sized}{words.of('; ', '；')}{sole_run(found.sole_run, words)}"
     if diagnosis.holdout is None:
         return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
     if slope is not None and slope.may_be_walk:
@@ -231,14 +236,16 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
         f"the biases of the {test.runs} runs follow {names}: {size} over all of them (p = {p_value})",
         f"{test.runs}次试验的零偏随{names}变化：全部试验的系数为{size}（p = {p_value}）",
     )
+    if found.sole_run is not None:
+        text += words.of("; ", "；") + sole_run(found.sole_run, words)
+        if test.within is None:
+            return text
     if test.within is not None:
         inside = f"{number(test.within[0])} ± {number(test.within[1])}"
         why = words.of(
             f"within the runs the output does not follow it ({inside}), so that it is not their cause as it stands",
             f"但各次试验内部的输出不随其变化（{inside}），故其本身不是原因",
         )
-    elif found.sole_run is not None:
-        why = sole_run(found.sole_run, words)
     elif slope is None:
         why = words.of("no runs were held out to confirm it", "无留出试验可供证实")
     elif slope.may_be_walk:
@@ -246,10 +253,17 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
             "a bias that walks from run to run explains the runs about as well",
             "零偏在各次试验之间随机游走的解释同样好",
         )
+    elif found.confirmed is False and slope.tells_nothing:
+        why = words.of("the held-out runs have nothing that tells of it", "留出试验没有可供判别的数据")
+    elif found.confirmed is False and not found.is_sized:
+        why = words.of(
+            "the training runs alone give no size of it that the held-out runs could confirm",
+            "仅由训练试验得不出可供留出试验证实的大小",
+        )
     elif found.confirmed is False:
         why = words.of(
-            f"the held-out runs do not confirm the size that the training runs give (slope {_slope(slope)})",
-            f"留出试验未证实由训练试验得出的大小（斜率{_slope(slope)}）",
+            f"the held-out runs do not confirm the size that the training runs give (slope {slope_text(slope)})",
+            f"留出试验未证实由训练试验得出的大小（斜率{slope_text(slope)}）",
         )
     elif not slope.is_independent:
         why = words.of(
@@ -287,7 +301,7 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
 def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
     if diagnosis.holdout is None:
         return words.of(f"; no runs were held out to confirm {them}", "；无留出试验可供证实")
-    count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
+    count, slope = len(diagnosis.holdout.runs), slope_text(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
         undecided = [each for each in diagnosis.holdout.effects if each.answer is HeldOutAnswer.NO_POWER]
         alone = [each.sole_run for each in undecided if each.sole_run is not None]
@@ -356,7 +370,3 @@ def _significance(gain: ErrorGain, words: Wording) -> str:
     if gain.is_significant or gain.is_loss:
         return ""
     return words.of(" (not significant)", "（不显著）")
-
-
-def _slope(found: HoldoutSlope) -> str:
-    return f"{found.slope:.2f} ± {found.slope_se:.2f}"

@@ -9,6 +9,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.base import parameter_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.tracing.result.diagnosis_result import BiasTest, ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.result.holdout import HoldoutSlope
 from stream.quantities import format_unit
 
 Language = Literal["en", "zh"]
@@ -69,6 +70,19 @@ def sole_run(run: str, words: "Wording") -> str:
         f"run {run} alone shows it: without it the biases of the other runs do not",
         f"仅由试验{run}显示：去掉该次试验后，其余试验的零偏不再显示",
     )
+
+
+def slope_text(slope: HoldoutSlope, digits: int = 2) -> str:
+    """A slope with its standard error; with more digits where these would make both of them 0.
+
+    >>> slope_text(HoldoutSlope("temperature", 0.98, 0.051, 0.1, True))
+    '0.98 ± 0.05'
+    >>> slope_text(HoldoutSlope("temperature", 3.3e-5, 2.4e-6, 0.1, False))
+    '3.3e-05 ± 2.4e-06'
+    """
+    if max(abs(slope.slope), slope.slope_se) < 0.5 * 10.0**-digits:
+        return f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
+    return f"{slope.slope:.{digits}f} ± {slope.slope_se:.{digits}f}"
 
 
 class Wording:

@@ -1,5 +1,6 @@
 """Causes that the biases of all runs follow: their size in each sentence, and when they are not tested."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -94,6 +95,51 @@ def test_one_far_run_confirms_nothing(far: int) -> None:
     assert f"run r0{far} alone shows it" in verdict_sentence(found, Wording("en"))
     assert f"仅由试验r0{far}显示" in said(found, Wording("zh"))
     assert any(each.startswith(f"temperature: run r0{far} alone shows it") for each in found.limits)
+
+
+def last_run_far(seed: int, count: int) -> Diagnosis:
+    """Runs at one temperature and a last, held-out one at another, whose bias differs: the training tells no size."""
+    rng = np.random.default_rng(seed)
+    levels, biases = np.full(count, 25.0), 0.02 * rng.standard_normal(count)
+    levels[-1], biases[-1] = 60.0, biases[-1] + 0.5
+    return diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+
+
+@pytest.mark.parametrize(("seed", "count"), [(1, 9), (4, 9), (2, 5)])
+def test_one_far_run_is_named_where_the_held_out_runs_refuse(seed: int, count: int) -> None:
+    found, far = last_run_far(seed, count), f"r0{count - 1}"
+    (effect,) = found.unreplicated
+    assert (found.verdict, found.effects, effect.confirmed) == (ModelVerdict.UNREPLICATED, (), False)
+    assert effect.sole_run == far
+    assert verdict_sentence(found, Wording("en")).endswith(
+        f"; run {far} alone shows it: without it the biases of the other runs do not."
+    )
+    assert f"；仅由试验{far}显示" in verdict_sentence(found, Wording("zh"))
+    assert any(f"since run {far} alone shows it" in each for each in evidence(effect, found, Wording("en")))
+    (caveat,) = [each for each in found.limits if f"run {far} alone shows it" in each]
+    assert "slope" not in caveat
+    assert all("0.000 ± 0.000" not in each for each in evidence(effect, found, Wording("en")))
+    (told,) = msgspec.structs.replace(found, declared_noise=None).document()["unreplicated"]
+    assert told["sole_run"] == far
+    assert [each["name"] for each in told["confounded"]] == [other.name for other in effect.confounded] != []
+
+
+def test_no_slope_is_given_where_the_training_gives_no_size_or_the_held_out_runs_tell_nothing() -> None:
+    found = last_run_far(1, 9)
+    (effect,), holdout = found.unreplicated, found.holdout
+    assert holdout is not None
+    assert effect.coefficients[0].lo < 0 < effect.coefficients[0].hi
+    effect = msgspec.structs.replace(effect, sole_run=None)
+    unsized = msgspec.structs.replace(found, unreplicated=(effect,))
+    assert verdict_sentence(unsized, Wording("en")).endswith(
+        "; the training runs alone give no size of it that the held-out runs could confirm."
+    )
+    slope = msgspec.structs.replace(holdout.effects[0], slope=0.0, slope_se=1e-150, sole_run=None)
+    untold = msgspec.structs.replace(unsized, holdout=msgspec.structs.replace(holdout, effects=(slope,)))
+    for each in (effect, msgspec.structs.replace(effect, of_biases=None)):
+        said = msgspec.structs.replace(untold, unreplicated=(each,))
+        assert verdict_sentence(said, Wording("en")).endswith("the held-out runs have nothing that tells of it.")
+        assert "The held-out runs have nothing that tells of it." in list(evidence(each, said, Wording("en")))
 
 
 def test_a_second_far_run_that_agrees_confirms() -> None:

@@ -117,13 +117,13 @@ def _walk(value: FloatArray, contrasts: FloatArray, clock: FloatArray, least: fl
     return float(np.max(-0.5 * value.size * np.log(scale) - 0.5 * np.log(variances).sum(axis=1)))
 
 
-def seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int) -> bool:
-    """Whether the blocks show an effect of this size about the bias of each run."""
+def seen_within_runs(boxes: Sequence[HeldOutSet], found: Search, number: int, size: float = 1.0) -> bool:
+    """Whether the blocks show an effect of this size, relative to that predicted, about the bias of each run."""
     squared = 0.0
     for at, box in enumerate(boxes):
         whitened = box.record.whitener(free_biases(found.joint.noises[at]))(box.predictions[:, number : number + 1])
         squared += float((whitened**2).sum())
-    return squared >= SEEN_WITHIN_RUNS**2
+    return size**2 * squared >= SEEN_WITHIN_RUNS**2
 
 
 def of_runs(box: HeldOutSet, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,16 +12,23 @@ FEWEST_RUNS = 5  # of fewer, none can be spared
 _QUANTILE = 0.975
 
 
-def sole_runs(box: HeldOutSet, found: Search) -> dict[str, str]:
+def sole_runs(box: HeldOutSet, found: Search, over_all: float | None = None) -> dict[str, str]:
     """Effects that the biases of all runs show, but not without one of them, and that run.
 
     One far run may differ for any reason. Held-out runs do not answer for it: with the far run in the fit, the bias of
     all others is right with the effect and wrong without it.
+
+    Parameters
+    ----------
+    box, found: All blocks of a unit with the predictions of the search.
+    over_all: Coefficient over all runs of the only effect, if their biases gave it; that of the training may be any.
     """
     runs = box.record.stack.runs
     sole = {}
     for number, each in enumerate(found.common):
-        if len(runs) < FEWEST_RUNS or seen_within_runs([box], found, number):
+        trained = float(found.common_fit(each)[0][0])
+        size = 1.0 if over_all is None or trained == 0.0 else over_all / trained
+        if len(runs) < FEWEST_RUNS or seen_within_runs([box], found, number, size):
             continue
         bias, effect, _ = of_runs(box, number)
         if (which := sole_bearer(bias, effect)) is not None:

@@ -104,6 +104,11 @@ class FoundEffect(msgspec.Struct, frozen=True):
     sole_run: str | None = None  # the run without which the biases of the others do not show it
     of_biases: BiasTest | None = None  # if the search did not find it, but the biases of all runs follow it
 
+    @property
+    def is_sized(self) -> bool:
+        """Whether the training runs give it a size: the bounds of a coefficient leave out zero."""
+        return any(each.lo > 0 or each.hi < 0 for each in self.coefficients)
+
     def document(self) -> dict[str, Any]:
         """JSON form: one coefficient as a number, several as lists in the order of `columns`."""
         each = self.coefficients
@@ -224,7 +229,10 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
                 effect.document() | {"false_alarm_probability": self.false_alarm(effect)} for effect in self.effects
             ],
             "confounded": [other.document(effect.name) for effect in self.effects for other in effect.confounded],
-            "unreplicated": [effect.document() for effect in self.unreplicated],
+            "unreplicated": [
+                effect.document() | {"confounded": [other.document(effect.name) for other in effect.confounded]}
+                for effect in self.unreplicated
+            ],
             "holdout": None if self.holdout is None else self.holdout.document(),
             "error": None if self.error is None else self.error.document(),
             "noise": self._noise(),

@@ -7,6 +7,7 @@ import msgspec
 
 REFERENCE_S = 1800.0  # averaging time at which errors are compared, if the runs are long enough
 WALK_LOG_ODDS = 3.0  # odds of 20 that decide between an effect and a bias that walks from run to run
+LEAST_ERROR = 1e-100  # of a slope; below it nothing was predicted
 _PARTS = ("before", "after", "floor", "before_within", "after_within", "floor_within")
 
 
@@ -39,6 +40,11 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     walk_log_odds: float | None = None
     is_independent: bool = True  # whether the training runs name the effect without them
     sole_run: str | None = None  # the run that alone bears the effect: the others do not show it
+
+    @property
+    def tells_nothing(self) -> bool:
+        """Whether the effect predicts nothing in the held-out runs."""
+        return self.slope == 0.0 and self.slope_se < LEAST_ERROR
 
     @property
     def may_be_walk(self) -> bool:

@@ -41,7 +41,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_clock_bounds,
     with_untold_delay,
 )
-from analytics.loop.tracing.verdict.held_out_caveats import refit_caveats
+from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats, refit_caveats
 from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
 from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
@@ -74,7 +74,10 @@ def conclude(
     holdout, kept, box, error = answered.holdout, answered.kept, answered.box, answered.error
     if holdout is not None and by_runs is not None and not by_runs.test.is_in_training:
         holdout = holdout.not_independent(by_runs.found.selected[0].name)
-    sole = sole_runs(box, kept)
+    sole = sole_runs(answered.whole, found, None if by_runs is None else by_runs.test.value)
+    kept_names = [each.name for each in kept.common]
+    if kept is not found:  # those kept, beside each other only
+        sole = {name: run for name, run in sole.items() if name not in kept_names} | sole_runs(box, kept)
     every = [msgspec.structs.replace(each, sole_run=sole.get(each.name)) for each in every]
     if holdout is not None:
         for name, run in sole.items():
@@ -100,7 +103,8 @@ def conclude(
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])
-    remarks, hiding = [*answered.worse, *refit_caveats(judged, every, refused)], None
+    alone = holdout_caveats(holdout, [each for each in refused if each.sole_run is not None])
+    remarks, hiding = [*answered.worse, *refit_caveats(judged, every, refused), *alone], None
     if declared is not None:
         remarks += agreement.disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
     if (
@@ -188,6 +192,7 @@ class _Answered(NamedTuple):
     """The answer of the held-out runs, the effects that they leave, the error with these, and what made it worse."""
 
     holdout: Holdout | None
+    whole: HeldOutSet  # with all effects
     kept: Search
     box: HeldOutSet
     error: ErrorTable
@@ -215,8 +220,8 @@ def _answered(case: Case, found: Search) -> _Answered:
     The slope of whitened blocks alone does not see a slow error that the noise model allows for.
     """
     holdout = None
+    whole = open_held_out_set(case.stack, case.held_out_blocks, case.training, found)
     if case.held_out and found.selected:
-        whole = open_held_out_set(case.stack, case.held_out_blocks, case.training, found)
         holdout = against_walk(judge([whole], found, case.held_out), [whole], found)
     worse: list[Bilingual] = []
     while True:
@@ -225,14 +230,14 @@ def _answered(case: Case, found: Search) -> _Answered:
             if holdout is None
             else found.without([e.name for e in found.selected if holdout.confirms(e.name) is False])
         )
-        box = open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
+        box = whole if kept is found else open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
         error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
         row, shares = error.reference, error_shares(box, kept)
         is_worse = (
             row is not None and row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
         )
         if holdout is None or row is None or not shares or not is_worse:
-            return _Answered(holdout, kept, box, error, tuple(worse))
+            return _Answered(holdout, whole, kept, box, error, tuple(worse))
         worst = min(shares, key=lambda name: shares[name])
         holdout = holdout.refusing(worst)
         name = effect_name(worst)

@@ -19,15 +19,16 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
         if slope is None:
             continue
         name, size = registry.effect_name(effect.name), f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
-        if slope.may_be_walk:
-            yield _walk_caveat(slope)
-        elif slope.sole_run is not None:
+        if slope.sole_run is not None:
+            en, zh = (f" (slope {size})", f"（斜率{size}）") if effect.is_sized else ("", "")
             yield Bilingual(
                 f"{name}: run {slope.sole_run} alone shows it, which may differ for any reason; the other runs do not "
-                f"confirm it (slope {size}): measure more runs like that one",
+                f"confirm it{en}: measure more runs like that one",
                 f"{name.zh}：仅试验{slope.sole_run}显示该效应，该次试验可能因其他原因而不同；其余试验不能予以证实"
-                f"（斜率{size}）：请补测与其条件相同的试验",
+                f"{zh}：请补测与其条件相同的试验",
             )
+        elif slope.may_be_walk:
+            yield _walk_caveat(slope)
         elif not slope.is_independent:
             yield Bilingual(
                 f"{name}: only all runs together show it, so that the held-out runs, which are among them, do "
