@@ -34,7 +34,7 @@ _ADVICE = Advice(
 )
 _AT_ONCE = 2
 _PATIENCE_S = 20.0
-_FRESH_S = 1.0
+_FRESH_S = 0.5
 
 
 class _Idle(NamedTuple):

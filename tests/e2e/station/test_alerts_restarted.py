@@ -51,7 +51,7 @@ def test_what_lasts_is_told_once_through_restarts_rules_and_seals(
     killed(source)
     until(lambda: len(posted) == 2)
     other = spawn("run-simulated", "--run", "n-2", "--station", "other", "--simulate", "1", "--hours", "1", "--json")
-    silent = {("unit_silent", "raised"): 2, ("unit_silent", "cleared"): 1}  # SIM-0001 is measured there now
+    silent = {("unit_silent", "raised"): 2, ("unit_silent", "ended"): 1}  # SIM-0001 is measured there now
     until(lambda: events(posted) == silent)
     before = gyrofleet("status", "--json").json["segments"]
     until(lambda: gyrofleet("status", "--json").json["segments"] >= before + 3)
