@@ -25,6 +25,7 @@ from stream.events import RunStarted
 
 _NS = 10**9
 _MOST_RAW = 6_000_000
+_QUICK_RAW = 250_000  # read in less than 50 ms
 _GAP_INTERVALS = 1.5
 _ROLLUP = ("bucket", "n", "mean", "lo", "hi")
 
@@ -216,7 +217,8 @@ def _buckets(source: LakeSource, of: _Stretch) -> tuple[str, int, Buckets, str |
     if not of.parts and not of.live_times.size:
         return "samples", 0, NO_BUCKETS, None
     note = None
-    if of.width_ns < _NS and of.raw_samples <= _MOST_RAW:
+    # buckets of 1 s in place of 0.5 to 1 s, where that many samples would be read for them
+    if of.width_ns < _NS and of.raw_samples <= (_MOST_RAW if of.width_ns < _NS / 2 else _QUICK_RAW):
         if of.is_raw:
             return *_of_samples(source, of), None
         note = "raw samples of this stretch were dropped to make room: buckets of 1 s are the finest that is kept"
