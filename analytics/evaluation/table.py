@@ -78,7 +78,7 @@ def format_parameters(parameters: Mapping[str, Any], language: str = "en") -> st
 
 
 def in_language(parameters: Mapping[str, Any], language: str) -> dict[str, Any]:
-    """Parameters with what is said in them, above all the remark, in ``en`` or ``zh``; single words are names."""
+    """Parameters with their sentences, such as the remark, in ``en`` or ``zh``; a single word is a name and stays."""
     if language != "zh":
         return dict(parameters)
     return {

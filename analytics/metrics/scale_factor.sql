@@ -37,9 +37,9 @@ select unit, signal, run, case when lack is null then k end as value, k_unit as 
   u_k as standard_uncertainty, freedom_k as freedom, n,
   struct_insert(words, temperature := round(temperature, 2), rates := n_points,
     largest_rate_deg_per_s := largest_rate,
-    remark := joined_remarks(joined_remarks(remark, remark_on_points), remark_on_drift('the scale factor',
+    remark := nullif(concat_ws('; ', remark, remark_on_points, remark_on_drift('the scale factor',
       slope_of_drift(points, slope_weights, rest_before, rest_after) / k * 1e6, u_k / abs(k) * 1e6, rest_before, rest_after,
-      output_unit))) as parameters,
+      output_unit)), '')) as parameters,
   [run] as runs, steps, standard, clause, lack as reason,
   -- of errors that differ from rate to rate, the part of the slope: sqrt(sum((w_j Omega_j)^2))
   sqrt(list_sum([(z[1] * z[2]) ** 2 for z in list_zip(slope_weights, x)])) as nonuniform

@@ -32,10 +32,10 @@ select
   difference.freedom as freedom,
   n,
   struct_insert(words, temperature := round(temperature, 2), forwards := plus.k, backwards := minus.k,
-    remark := joined_remarks(remark_on_points, remark_on_drift('the asymmetry', (
+    remark := nullif(concat_ws('; ', remark_on_points, remark_on_drift('the asymmetry', (
         slope_of_drift(plus.points, plus.slope_weights, rest_before, rest_after)
         - slope_of_drift(minus.points, minus.slope_weights, rest_before, rest_after)
-      ) / reference * 1e6, u_size, rest_before, rest_after, output_unit))) as parameters,
+      ) / reference * 1e6, u_size, rest_before, rest_after, output_unit)), '')) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.3 (10)(11)' else '7.2.3 (9)' end as clause,
   lack as reason,

@@ -49,8 +49,8 @@ select
   n,
   struct_insert(words, temperature := round(temperature, 2), rate_of_maximum_deg_per_s := worst.rate,
     largest_rate_deg_per_s := largest_rate,
-    remark := joined_remarks(remark_on_points, remark_on_drift('the nonlinearity', drift_ppm, worst.u, rest_before,
-      rest_after, output_unit))) as parameters,
+    remark := nullif(concat_ws('; ', remark_on_points, remark_on_drift('the nonlinearity', drift_ppm, worst.u, rest_before,
+      rest_after, output_unit)), '')) as parameters,
   [run] as runs, steps, standard,
   case standard when 'GJB2426A' then '5.8.2 (7)-(9)' else '7.2.2 (6)-(8)' end as clause,
   lack as reason

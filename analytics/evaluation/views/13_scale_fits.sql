@@ -149,8 +149,6 @@ create or replace macro remark_on_drift(what, ppm, u_ppm, rest_before, rest_afte
       || 'rates, which the interval does not hold; measure the rates again in the reverse order',
       rest_after.output - rest_before.output, output_unit, what, ppm) end;
 
-create or replace macro joined_remarks(one, other) as nullif(concat_ws('; ', one, other), '');
-
 create or replace macro lack_of_seconds(points, asked, clause) as
   case when list_min([p.lasts_s for p in points]) < asked * (1 - 1e-3) then
     format('{:g} s recorded at {} deg/s, at least {:g} s at each rate are asked for ({})',

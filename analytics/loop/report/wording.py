@@ -65,7 +65,7 @@ def measured(value: float, error: float) -> str:
 
 
 def sole_run(run: str, words: "Wording") -> str:
-    """What is said of an effect that one run alone bears."""
+    """The sentence that one run alone shows an effect."""
     return words.of(
         f"run {run} alone shows it: without it the biases of the other runs do not",
         f"仅由试验{run}显示：去掉该次试验后，其余试验的零偏不再显示",

@@ -15,7 +15,7 @@ from stream.decoding import converted
 from stream.errors import NotFound
 
 
-@shown("/diagnosis", "diagnoses.html.jinja", is_slow=True)
+@shown("/diagnosis", "diagnosis/diagnoses.html.jinja", is_slow=True)
 def list_diagnoses(call: Call, asked: Nothing) -> dict[str, Any]:
     """Units with error models."""
     return {
@@ -31,7 +31,7 @@ class DiagnosisPageAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     job: Name = ""
 
 
-@shown("/diagnosis/{unit}", "diagnosis.html.jinja", is_slow=True)
+@shown("/diagnosis/{unit}", "diagnosis/diagnosis.html.jinja", is_slow=True)
 def diagnosis(call: Call, asked: DiagnosisPageAsked) -> dict[str, Any]:
     """One unit."""
     found = api.diagnosis(call, Nothing())
@@ -48,7 +48,7 @@ def diagnosis(call: Call, asked: DiagnosisPageAsked) -> dict[str, Any]:
     }
 
 
-@shown("/jobs/{job}", "job.html.jinja")
+@shown("/jobs/{job}", "diagnosis/job.html.jinja")
 def job(call: Call, asked: Nothing) -> dict[str, Any]:
     """One job."""
     found = jobs_api.job(call, asked)

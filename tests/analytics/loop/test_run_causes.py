@@ -23,7 +23,7 @@ def drifting(seed: int, per_day: float, count: int = 9) -> tuple[list[RunBlocks]
 
 
 def said(found: Diagnosis, words: Wording) -> str:
-    """All that is said of the first effect."""
+    """All sentences about the first effect."""
     effect = found.effects[0]
     return " ".join([verdict_sentence(found, words), words.coefficient(effect), *evidence(effect, found, words)])
 

@@ -13,7 +13,7 @@ from analytics.loop.tracing.verdict.effect_findings import unfitted
 from analytics.loop.tracing.whitening.joint_fit import fit_jointly
 
 TIME_OFFSET, TEMPERATURE_RATE, THERMAL_LAG = "temperature_time_offset", "temperature_rate", "thermal_lag"
-_LEAD = 12.0  # of chi-square, beyond which a thermal lag is told from it
+_LEAD = 12.0  # lead of the thermal lag in chi-square from which the data separate the two
 
 
 def with_sensor_lag(effects: Sequence[FoundEffect], kept: Search) -> tuple[FoundEffect, ...]:

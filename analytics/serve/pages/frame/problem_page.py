@@ -25,8 +25,8 @@ def problem_response(request: Request, error: GyrofleetError) -> Response:
     written = _written(request)
     if isinstance(error, Unauthorised) and not written:
         return _to_login(request)
-    told = {"status": status, "message": str(error), "written": written}
-    answer = page(request, "problem.html.jinja", told, status)
+    shown = {"status": status, "message": str(error), "written": written}
+    answer = page(request, "frame/problem.html.jinja", shown, status)
     answer.headers.update(headers_of(error))
     if request.method == "GET" and status in _PASSING:
         answer.headers["Refresh"] = answer.headers.get("Retry-After", _AGAIN_S)  # the browser asks once more by itself
@@ -43,6 +43,6 @@ def _to_login(request: Request) -> Response:
     """The login page; after a click on another site the page asks once more, now with the cookie."""
     wanted = request.url.path + (f"?{request.url.query}" if request.url.query else "")
     if request.method == "GET" and request.headers.get("sec-fetch-site") == "cross-site":
-        return page(request, "again.html.jinja", {"url": wanted})
+        return page(request, "frame/again.html.jinja", {"url": wanted})
     parameters = urlencode({"next": wanted}) if request.method == "GET" and wanted != "/" else ""
     return RedirectResponse(f"/login?{parameters}" if parameters else "/login", 303)

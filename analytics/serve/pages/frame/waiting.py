@@ -39,7 +39,7 @@ class Waiting:
                 self._making.popitem(last=False)[1].cancel()
         done, _ = await service.result(asyncio.wait({task}, timeout=patience_s))
         if not done:
-            answer: Response = page(request, "waiting.html.jinja", {}, 202)
+            answer: Response = page(request, "frame/waiting.html.jinja", {}, 202)
             answer.headers["Refresh"] = str(_AGAIN_S)
             return answer
         self._making.pop(key, None)

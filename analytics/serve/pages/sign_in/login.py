@@ -74,7 +74,7 @@ def _entered(request: Request, service: Service, cookie: str | None, target: str
     if cookie is None:
         return _form(request, service, target, "wrong", 403)
     # a page that goes on by itself: after a redirect from another site browsers would leave the cookie out
-    answer = page(request, "again.html.jinja", {"url": target})
+    answer = page(request, "frame/again.html.jinja", {"url": target})
     answer.headers["Set-Cookie"] = service.doorkeeper.set_cookie(cookie)
     return answer
 
@@ -84,4 +84,4 @@ def _form(request: Request, service: Service, target: str, problem: str, status:
         "next": target, "problem": problem, "has_users": service.doorkeeper.users is not None,
         "has_token": bool(service.doorkeeper.token), "has_provider": service.doorkeeper.oidc is not None,
     }  # fmt: skip
-    return page(request, "login.html.jinja", context, status)
+    return page(request, "sign_in/login.html.jinja", context, status)

@@ -46,7 +46,7 @@ async def done(request: Request, *, service: Service) -> Response:
     except OidcProblem as problem:
         return _failed(request, service, problem)
     # a page that goes on by itself: after a redirect from another site browsers would leave the cookie out
-    found = page(request, "again.html.jinja", {"url": entered.target})
+    found = page(request, "frame/again.html.jinja", {"url": entered.target})
     found.headers.append("Set-Cookie", keeper.set_cookie(session))
     found.headers.append("Set-Cookie", keeper.set_oidc_cookie("", 0))
     return found
@@ -66,10 +66,10 @@ async def logged_out(request: Request, service: Service, session: Session | None
     if url is None:
         return RedirectResponse("/login", 303)
     # no redirect: the policy of forms does not let one lead to another site
-    return page(request, "again.html.jinja", {"url": url})
+    return page(request, "frame/again.html.jinja", {"url": url})
 
 
 def _failed(request: Request, service: Service, problem: OidcProblem) -> Response:
     service.doorkeeper.watch.saw("login refused", address_of(request.scope), f"OIDC, {problem.reason}: {problem}")
     context = {"reason": f"oidc_{problem.reason}", "parts": problem.parts}
-    return page(request, "login_failed.html.jinja", context, problem.status)
+    return page(request, "sign_in/login_failed.html.jinja", context, problem.status)
