@@ -128,7 +128,7 @@ def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
         command += [str(result), *([] if arguments.keep is None else [str(arguments.keep)])]
         # numba cannot compile what is instrumented
         env = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-        seconds = arguments.seconds + 5 * _KILL_S
+        seconds = 20 * arguments.seconds + 5 * _KILL_S  # `arguments.seconds` are processor time there
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=env)
             lines = [line for line in done.stderr.splitlines() if not line.startswith(("INFO: ", "WARNING: Failed"))]
@@ -156,7 +156,7 @@ def in_gate(form: Format, part: int) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="FORMAT")
-    parser.add_argument("--seconds", type=float, default=60.0, help="Time for each format.")
+    parser.add_argument("--seconds", type=float, default=60.0, help="Time for each format; with --guided, of the processor.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guided", action="store_true", help="Coverage chooses what is mutated further.")
     parser.add_argument(
