@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -104,6 +103,8 @@ def _kept_rows(catalog: Catalog, units: list[str], stale: list[str], update: Upd
 
 def in_order(catalog: Catalog, rows: pa.Table) -> pa.Table:
     """The rows sorted; the statement of all keys sorts only those that are equal in the first ones."""
+    import polars as pl  # kept rows are in order, and need none of it
+
     place = np.zeros(rows.num_rows, np.int64)
     for name in _CODED:
         codes, count = _codes(rows[name])

@@ -5,7 +5,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+import scipy
 
 from stream.batch import FloatArray
 
@@ -43,8 +43,8 @@ def probability_of_conformity(value: float, u: float, tolerance: Interval, freed
     """
     lower, upper = ((limit - value) / u for limit in tolerance.bounds)
     if math.isinf(freedom):
-        return float(special.ndtr(upper) - special.ndtr(lower))
-    return float(special.stdtr(freedom, upper) - special.stdtr(freedom, lower))
+        return float(scipy.special.ndtr(upper) - scipy.special.ndtr(lower))
+    return float(scipy.special.stdtr(freedom, upper) - scipy.special.stdtr(freedom, lower))
 
 
 def global_risks(mean: float, deviation: float, u: float, tolerance: Interval, acceptance: Interval) -> Risks:
@@ -58,7 +58,7 @@ def global_risks(mean: float, deviation: float, u: float, tolerance: Interval, a
     inside = acceptance.bounds
 
     def accepted(true: FloatArray) -> FloatArray:
-        share = special.ndtr((inside[1] - true) / u) - special.ndtr((inside[0] - true) / u)
+        share = scipy.special.ndtr((inside[1] - true) / u) - scipy.special.ndtr((inside[0] - true) / u)
         return np.asarray(share, dtype=np.float64)
 
     def share_of(first: float, last: float, *, is_accepted: bool) -> float:

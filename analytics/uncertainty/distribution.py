@@ -4,7 +4,7 @@ import math
 from enum import StrEnum
 
 import numpy as np
-from scipy import special
+import scipy
 
 from analytics.methods.distributions import student_quantile
 from stream.batch import FloatArray
@@ -52,7 +52,7 @@ class Distribution(StrEnum):
             case Distribution.T if math.isfinite(freedom):
                 return student_quantile(p, freedom)
             case Distribution.NORMAL | Distribution.T:
-                return np.asarray(special.ndtri(p))
+                return np.asarray(scipy.special.ndtri(p))
             case Distribution.UNIFORM:
                 unit = 2 * p - 1
             case Distribution.TRIANGULAR:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+import scipy
 
 from analytics.uncertainty.budget import Budget, Expanded
 from analytics.uncertainty.component import Component
@@ -123,6 +123,7 @@ class _Sampler:
         rows = []
         for component, normal in zip(self.components, normals, strict=True):
             is_normal = component.distribution is Distribution.NORMAL
-            unit = normal if is_normal else component.distribution.quantiles(special.ndtr(normal), component.freedom)
+            chances = None if is_normal else scipy.special.ndtr(normal)
+            unit = normal if chances is None else component.distribution.quantiles(chances, component.freedom)
             rows.append(unit * component.u)
         return np.array(rows)

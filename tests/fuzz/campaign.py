@@ -156,7 +156,9 @@ def in_gate(form: Format, part: int) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="FORMAT")
-    parser.add_argument("--seconds", type=float, default=60.0, help="Time for each format; with --guided, of the processor.")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="Time for each format; with --guided, of the processor."
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guided", action="store_true", help="Coverage chooses what is mutated further.")
     parser.add_argument(

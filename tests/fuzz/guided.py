@@ -1,7 +1,7 @@
 """A campaign in which coverage chooses what is mutated.
 
-``python -m tests.fuzz.guided FORMAT SECONDS SEED RESULT [KEEP]``. The seconds are processor time of this process: a busy
-machine does not shorten a campaign.
+``python -m tests.fuzz.guided FORMAT SECONDS SEED RESULT [KEEP]``. Seconds are processor time: a busy machine does not
+shorten a campaign.
 
 Atheris instruments the project and the readers in Python that it uses; libFuzzer keeps inputs that reach new branches,
 and mutates them by the format's own mutations. `tests.fuzz.campaign --guided` starts it.
@@ -48,7 +48,8 @@ def main() -> None:
     corpus.mkdir()
     for number, content in enumerate(campaign.seeds):
         (corpus / f"{number}").write_bytes(content)
-    options = [f"-max_total_time={round(_MOST_WAIT * float(seconds))}", "-timeout=0", "-rss_limit_mb=0", f"-seed={seed}"]
+    most_s = round(_MOST_WAIT * float(seconds))
+    options = [f"-max_total_time={most_s}", "-timeout=0", "-rss_limit_mb=0", f"-seed={seed}"]
     options += ["-max_len=1048576", "-verbosity=0", "-detect_leaks=0", f"-artifact_prefix={folder}/"]
     atheris.Setup([sys.argv[0], *options, str(corpus)], judge, custom_mutator=mutate)
     atheris.Fuzz()

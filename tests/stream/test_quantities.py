@@ -64,8 +64,15 @@ def test_foreign_keys_are_told_apart(key: str) -> None:
         parse_key(key)
 
 
-def test_known_units_are_converted_as_pint_does() -> None:
+def pint_registry() -> "pint.UnitRegistry[float]":
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    registry.define("dps = degree / second")
+    registry.define("LSB = count")
+    return registry
+
+
+def test_known_units_are_converted_as_pint_does() -> None:
+    registry = pint_registry()
     known = quantities._KNOWN
     pairs = [pair for pair in permutations(known, 2) if known[pair[0]].quantity == known[pair[1]].quantity]
     for source, target in pairs:
@@ -78,7 +85,7 @@ def test_known_units_are_converted_as_pint_does() -> None:
 
 @pytest.mark.long
 def test_known_units_of_different_quantities_are_as_different_to_pint() -> None:
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    registry = pint_registry()
     for source, target in permutations(quantities._KNOWN, 2):
         try:
             conversion(source, target)
