@@ -147,8 +147,10 @@ class CurveLikelihood:
         form of mean tr(P C) and variance 2 tr(P C P C) (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
         """
         basis, _ = np.linalg.qr(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]))
-        product = self._correlation - basis @ (basis.T @ self._correlation)
-        mean, square = float(np.trace(product)), float(np.sum(product * product.T))
+        within = self._correlation @ basis
+        between = basis.T @ within
+        mean = float(np.trace(self._correlation) - np.trace(between))
+        square = float(np.sum(self._correlation**2) - 2.0 * np.sum(within**2) + np.sum(between**2))
         return mean, mean**2 / square if square > 0.0 else 0.0
 
     def known_share(self) -> float:

@@ -1,5 +1,7 @@
 """Model error: how far an Allan curve departs from every sum of the terms beyond its own scatter."""
 
+from functools import cache
+
 import numpy as np
 
 from stream.batch import FloatArray
@@ -50,9 +52,11 @@ def misfit_chance(likelihood: CurveLikelihood) -> float:
 
 
 def _admitting(likelihood: CurveLikelihood, shape: FloatArray, alike: FloatArray) -> CurveLikelihood:
+    @cache
     def widened(logarithm: float) -> CurveLikelihood:
         return likelihood.widened(np.exp(logarithm) * shape / np.mean(shape), alike)
 
+    @cache
     def surplus(logarithm: float) -> float:
         each = widened(logarithm)
         theta, least = each.minimum()
