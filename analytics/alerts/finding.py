@@ -34,7 +34,7 @@ class AlertView:
     began_ns: int  # since when the view is kept, by the computer's clock
     documents: Sequence[AnyDocument]
     units: Mapping[str, UnitNow]
-    heard_ns: Mapping[tuple[str, str], int]  # by run and unit: the last sample, by the clock of now_ns
+    last_sample_ns: Mapping[tuple[str, str], int]  # by run and unit: the last sample, by the clock of now_ns
     status: StoreStatus
     damaged_bytes: Mapping[str, int]  # by segment of the log
     store: Store

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from analytics.alerts.book import AlertBook
 from analytics.alerts.finding import AlertView, Finding
-from analytics.alerts.hearing import Hearing
 from analytics.alerts.kept_alerts import Alert
+from analytics.alerts.last_samples import LastSamples
 from analytics.alerts.rules import Rule, Rules
 from analytics.alerts.rules_file import RulesFile
 from analytics.alerts.sender import TargetSender
@@ -52,7 +52,7 @@ class AlertService(Closing):
         if not self._book.segment:  # what was before the first alert service is not reported
             self._book.read_to(max(sealed, default="") + "+")
         self._book.hold(self._now_ns())
-        self._floor, self._hearing = Floor(), Hearing()
+        self._floor, self._last_samples = Floor(), LastSamples()
         done = {segment for segment in sealed if segment < self._book.segment}
         self._follower = LogFollower(store, without=done & self._fill_floor(), unread=True)
         self._kept: dict[str, tuple[int, list[Finding]]] = {}
@@ -72,10 +72,10 @@ class AlertService(Closing):
         self._look_at_rules()
         segment, documents = self._look_at_log()
         now_ns, wall_ns = self._now_ns(), time.time_ns()
-        self._hearing.look(self._floor.units, now_ns, wall_ns)
+        self._last_samples.look(self._floor.units, now_ns, wall_ns)
         view = AlertView(
             now_ns=now_ns, began_ns=self._began_ns, documents=documents, units=self._floor.units,
-            heard_ns=self._hearing.heard_ns, status=store_status(self._store),
+            last_sample_ns=self._last_samples.last_sample_ns, status=store_status(self._store),
             damaged_bytes=self._follower.damaged_bytes, store=self._store, kept=self._kept,
         )  # fmt: skip
         unknown = {rule.name for rule in self.rules.rules if not self._is_applied(rule, view, wall_ns)}

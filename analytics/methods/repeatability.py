@@ -1,6 +1,6 @@
 """Repeatability over days: standard deviations and components of variance, less the noise of what was measured.
 
-All functions are of many tests at once: unless said otherwise an array has an element for each test.
+All functions are of many tests at once: unless stated otherwise an array has an element for each test.
 """
 
 from collections.abc import Callable, Hashable, Sequence

@@ -22,7 +22,7 @@ with counted as (
   select *, run as scope from counted where is_test or in_run > 1
   union all
   select *, null as scope from counted
-), gathered as (
+), collected as (
   select unit, signal, scope,
     coalesce(list(arcmin order by t_from_ns, run, repeat) filter (lack is null), []) as gammas,
     stations_remark(list(station) filter (lack is null)) as stations,
@@ -43,4 +43,4 @@ select
   runs, steps,
   case when len(gammas) < 7 then
     len(gammas) || ' misalignments measured, the clause asks for 7 or more' || coalesce('; ' || lack, '') end as reason
-from gathered
+from collected

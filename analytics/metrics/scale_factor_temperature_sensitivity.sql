@@ -47,7 +47,7 @@ with forced as (
   where not is_left_out
     and (regexp_matches("procedure", '^scale_factor_temperature') or ((temperatures > 1 or spread > 5)
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(acc|shock|vib)|threshold|resolution)')))
-), gathered as (
+), collected as (
   select run, unit, signal, "procedure", position, axis, repeat, standard, k_unit,
     list({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points, temperature: temperature} order by steps) filter (not is_room) as others,
@@ -62,7 +62,7 @@ with forced as (
   select * exclude (others),
     [struct_insert(slope_difference(p, room, 1), apart := p.temperature - room.temperature, at := p.temperature)
       for p in others if abs(p.temperature - room.temperature) >= 1] as changes
-  from (select *, mean_line(rooms) as room from gathered)
+  from (select *, mean_line(rooms) as room from collected)
 ), quotients as (
   select *, [{
       size: abs(c.change / (room.k * c.apart)) * 1e6, u: abs(c.u / (room.k * c.apart)) * 1e6, freedom: c.freedom,

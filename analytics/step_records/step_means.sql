@@ -11,7 +11,7 @@ with step as (
 ), power as (                           -- the power-on in force, and when it was
   select run, unit, t_ns, document->>'$.epoch' as epoch
   from events where kind = 'PowerOn' and run in (select run from internal.reduced_runs)
-), stated as (                          -- of the station: how the run began, and what was said of it later
+), stated as (                          -- of the station: how the run began, and what was declared of it later
   select run, document->'$.details' as details, case kind when 'RunStarted' then -arrival_ns else arrival_ns end as place
   from internal.lake_documents
   where kind in ('RunStarted', 'StationStated') and run in (select run from internal.reduced_runs)

@@ -24,7 +24,7 @@ class Noise(NamedTuple):
 
 _CORRELATIONS = (0.2, 0.4, 0.55, 0.7, 0.8, 0.87, 0.92, 0.96, 0.99)
 _SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-# where a wander is forgotten at once, its share cannot be told
+# where a wander is forgotten at once, its share is unknown
 _LEAST_SHARED = 0.4
 NOISES = (
     Noise(0.0, 1.0),

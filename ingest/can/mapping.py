@@ -131,7 +131,7 @@ class CanMapping:
         return found[0]
 
     def _by_source(self, route: Route, message: "Message", ids: Collection[int]) -> Iterator[Route]:
-        """A route for each source of a J1939 message; signals of all but the main source bear its address."""
+        """A route for each source of a J1939 message; signals of all but the main source carry its address."""
         sources = sorted({identifier & 0xFF for identifier in ids if has_id(message, identifier)})
         own = route.arbitration_id & 0xFF
         main = own if own in sources and own != _NO_SOURCE else next(iter(sources), None)

@@ -27,7 +27,7 @@ _ACTIONS = tuple(each.value for each in RunAction)
 def control(run: str, action: str, reason: str, by: str | None, folder: Path, *, as_json: bool) -> None:
     """Pause, resume or abort the RUN of a procedure that a station on this computer carries out.
 
-    The station answers within some seconds: the exit code is 0 if it does as it is told, 1 if it refuses, or nobody
+    The station answers within some seconds: the exit code is 0 if it obeys, 1 if it refuses, or nobody
     answers; a command that the station has not taken by then is withdrawn, `abort` after a minute. Command and answer
     are in `events`.
     """

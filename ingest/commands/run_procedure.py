@@ -122,7 +122,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             return 0
         reached = run_path.path_to(
             destination, run, bus, spool, asked.every_s, asked.estimated, job.serials, decisions.see,
-            station=job.station.place.station, on_estimate=decisions.hear,
+            station=job.station.place.station, on_estimate=decisions.estimate_arrived,
         )  # fmt: skip
         path = stack.enter_context(reached)
         trouble = TroubleWatch(path.publisher, operator.report, lambda: decisions.silence)

@@ -119,14 +119,14 @@ class Planner:
     def _step(
         self, item: Item, where: str, key: str, variables: Variables, inherited: dict[str, object], part: str
     ) -> None:
-        said = {**inherited, **_filled(item, variables, where)}
-        settings = {name: float(said[field]) for field, name in _FIELDS.items() if field in said}  # type: ignore[arg-type]
+        given = {**inherited, **_filled(item, variables, where)}
+        settings = {name: float(given[field]) for field, name in _FIELDS.items() if field in given}  # type: ignore[arg-type]
         names = ("settle_s", "record_s", "warm_up_s")
-        times = {name: self._seconds(said.get(name, 0.0), f"{where}.{name}") for name in names}
+        times = {name: self._seconds(given.get(name, 0.0), f"{where}.{name}") for name in names}
         power, off_s = self._power(item, variables, where)
         self._check_safe(item, where)
         changed = tuple(name for name, value in settings.items() if self._state.get(name) != value)
-        wait = said.get("wait_settled", changed)
+        wait = given.get("wait_settled", changed)
         assert isinstance(wait, tuple)
         self._check_settings(settings, wait, where)
         self._state = {name: value for name, value in self._state.items() if ENDS.get(name) not in settings} | settings
@@ -141,7 +141,7 @@ class Planner:
             where_asked = f"{where}.prompt"
             en, zh = (text_of(getattr(asked, name), variables, f"{where_asked}.{name}") for name in ("en", "zh"))
             prompt = Names(en=en, zh=zh)
-        words = self._words(item, said, times["settle_s"], variables, where)
+        words = self._words(item, given, times["settle_s"], variables, where)
         self._steps.append(
             PlannedStep(
                 number=len(self._steps) + 1, words=words, settings=settings, wait_settled=wait, power=power,
@@ -150,26 +150,26 @@ class Planner:
         )  # fmt: skip
 
     def _words(
-        self, item: Item, said: dict[str, object], settle_s: float, variables: Variables, where: str
+        self, item: Item, given: dict[str, object], settle_s: float, variables: Variables, where: str
     ) -> StepWords:
         assert item.name is not None
         now = self._state
-        position = said.get("position") or (f"{now['angle']:g} deg" if "angle" in now else None)
-        repeat = said.get("repeat")
+        position = given.get("position") or (f"{now['angle']:g} deg" if "angle" in now else None)
+        repeat = given.get("repeat")
         shakes = now.get("amplitude", 0.0) != 0.0
         return StepWords(
             procedure=self._procedure,
             step=text_of(item.name, variables, f"{where}.name"),
             repeat=None if repeat is None else int(repeat),  # type: ignore[call-overload]
             position=position,  # type: ignore[arg-type]
-            axis=said.get("axis"),  # type: ignore[arg-type]
-            phase=said.get("phase"),  # type: ignore[arg-type]
+            axis=given.get("axis"),  # type: ignore[arg-type]
+            phase=given.get("phase"),  # type: ignore[arg-type]
             rate_command_deg_per_s=now.get("rate"),
             temperature_command_deg_c=now.get("temperature"),
             frequency_hz=now["frequency"] if shakes else None,
             amplitude=now["amplitude"] if shakes else None,
             settle_s=settle_s or None,
-            room=said.get("room") or None,  # type: ignore[arg-type]
+            room=given.get("room") or None,  # type: ignore[arg-type]
         )
 
     def _seconds(self, value: object, where: str) -> float:

@@ -93,7 +93,7 @@ class Releases:
             yield f"released early only as FAIL: {_listed(list(after))}; the whole record is needed for {subjects}"
 
     def sentence(self, release: Release) -> str:
-        """What the operator is told of a release."""
+        """Sentence to the operator about a release."""
         slot = f" (slot {release.slot})" if release.slot else ""
         names = self._supplies[release.unit]
         power = f"it has power until {' and '.join(names)} is off" if names else "switch it off by hand"
@@ -103,7 +103,7 @@ class Releases:
         )
 
     def free_sentence(self, supplies: Sequence[str], units: Sequence[str]) -> str:
-        """What the operator is told when supplies are off."""
+        """Sentence to the operator once supplies are off."""
         slots = [slot for unit in units if (slot := self._slots[unit])]
         places = f"slots {', '.join(slots)} are free" if slots else "their places are free"
         return f"{', '.join(supplies)} is switched off; {places} (units {_listed(units)})"

@@ -62,7 +62,7 @@ class LimitReport:
 
     def __init__(self, report: Callable[[str], None], judged: Collection[str] = ()) -> None:
         self._report, self._judged = report, frozenset(judged)
-        self._heard_s: float | None = None  # when an estimate came last, or the record began
+        self._estimate_s: float | None = None  # when an estimate came last, or the record began
         self._decided: set[tuple[str, Limit, str]] = set()
         self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
         self._since_ns = _NEVER_NS  # what a resumed run replays is of records that are measured again
@@ -79,19 +79,19 @@ class LimitReport:
 
     def begin_record(self, since_ns: int) -> None:
         """A record begins: looks at one before it count no more."""
-        self._since_ns, self._heard_s = since_ns, time.monotonic()
+        self._since_ns, self._estimate_s = since_ns, time.monotonic()
         self._looks.clear()
         self._decided.clear()
 
-    def hear(self) -> None:
+    def estimate_arrived(self) -> None:
         """Take note of an estimate of a unit of the run; from the thread of the bus."""
-        self._heard_s = time.monotonic()
+        self._estimate_s = time.monotonic()
 
     @property
     def silence(self) -> str | None:
         """That nobody judges the limits of the record that is at work; None where an estimator does, or none need."""
         left = self._judged - self.verdicts.keys()
-        if self._heard_s is None or not left or time.monotonic() - self._heard_s < _SILENT_S:
+        if self._estimate_s is None or not left or time.monotonic() - self._estimate_s < _SILENT_S:
             return None
         return (
             f"no estimate of these units has come for {_SILENT_S / 60:.0f} min: the limits of {len(left)} of them are "

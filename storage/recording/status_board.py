@@ -71,7 +71,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _forgotten(path: Path) -> bool:
-    """Remove the status of a role that was not heard of for a week."""
+    """Remove the status of a role that has not reported for a week."""
     if time.time() - path.stat().st_mtime < _FORGET_AFTER_S:
         return False
     path.unlink(missing_ok=True)

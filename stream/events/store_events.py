@@ -110,7 +110,7 @@ class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class AlertRaised(Document, frozen=True, kw_only=True, tag=True):
-    """A condition that somebody is told of; its `uid` names the alert."""
+    """A condition that is reported to people; its `uid` names the alert."""
 
     rule: str
     severity: str

@@ -9,7 +9,7 @@ from stream.events import EventMessage, RunEnded
 from stream.identity import Place, sample_key
 from stream.wire.acknowledgement import StreamId
 
-# a source polls at least every 10 s about samples that it has; of those that nobody has, nothing is heard
+# a source polls at least every 10 s about samples that it has; nothing arrives of those that nobody has
 _LOST_AFTER_S = 60.0
 
 

@@ -18,7 +18,7 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Units that are silent now."""
         at_work = {(unit.run.run, name) for name, unit in view.units.items() if unit.is_at_work}
-        last = {key: heard_ns for key, heard_ns in view.heard_ns.items() if key in at_work}
+        last = {key: last_sample_ns for key, last_sample_ns in view.last_sample_ns.items() if key in at_work}
         for role in view.status.roles:
             if role.status.run is not None and role.condition == "working" and role.status.run.doing == "recording":
                 began_ns = max(view.now_ns - round(role.works_s * 1e9), view.began_ns)
@@ -42,7 +42,7 @@ class UnitSilentCondition(Condition, frozen=True, kw_only=True, tag="unit_silent
                 yield Finding(f"{run}/{name}", name, text, unit=name)
 
     def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:
-        """That its run is over, or it has no power, and it was not heard again before."""
+        """That its run is over, or it has no power, and it has not sent again before."""
         run, _, name = key.rpartition("/")
         unit = view.units.get(name)
         if unit is not None and unit.arrival_ns > raised_ns:  # perhaps in another run

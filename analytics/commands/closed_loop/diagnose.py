@@ -333,7 +333,7 @@ def bounds_of(text: str) -> dict[str, float]:
             raise BadInput(f"--bounds {part}: {name} is not known; names are {', '.join(names)}")
         if name.endswith("deg_c") and found[name] < _ABSOLUTE_ZERO_DEG_C:
             raise BadInput(
-                f"--bounds {part}: below absolute zero, {_ABSOLUTE_ZERO_DEG_C} degC; give what the unit bears"
+                f"--bounds {part}: below absolute zero, {_ABSOLUTE_ZERO_DEG_C} degC; give what the unit withstands"
             )
     return found
 

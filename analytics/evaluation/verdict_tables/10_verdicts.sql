@@ -96,13 +96,13 @@ left join internal.run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.
 
 -- Which values have the parameters that a limit names. Numbers are alike to nine digits.
 create or replace view internal.parameters_met as
-with said as (
+with stated as (
   select row, metric, path, parameters->>path as text
   from internal.metric_runs join (select distinct metric, path from internal.specification_parameters) using (metric)
 ), keyed as (
-  select row, metric, path, 'text ' || text as key from said where text is not null
+  select row, metric, path, 'text ' || text as key from stated where text is not null
   union all
-  select row, metric, path, 'number ' || printf('%.9g', try_cast(text as double)) from said
+  select row, metric, path, 'number ' || printf('%.9g', try_cast(text as double)) from stated
   where try_cast(text as double) is not null
 )
 select k.row, p.limit_id, count(*) as met

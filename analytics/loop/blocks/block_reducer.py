@@ -290,8 +290,8 @@ class BlockReducer:
             if (source := run.reference) is not None:
                 motion = self._joiner.motion(source, run.blocks.slot, run.blocks.t0_ns)
                 commanded = derived.commanded_in(run.blocks, run.found, run.steps)
-                untold_s = notes_on.untold_delay_s(source.interval_s, float(np.median(run.found.interval_s)))
-                run.blocks = replace(run.blocks, untold_delay_s=untold_s)
+                hidden_s = notes_on.hidden_delay_s(source.interval_s, float(np.median(run.found.interval_s)))
+                run.blocks = replace(run.blocks, hidden_delay_s=hidden_s)
                 run.is_unresolved = unresolved(run.blocks, motion, run.sample_variance, commanded, run.is_lost)
         notes += derived.source_of_input_rate(recorded, [run.blocks for run in runs])
         notes += notes_on.positions({step.position for run in runs for step in run.steps if step.position}, numbers)

@@ -61,7 +61,7 @@ class RunBlocks:
     unit_of_measure: str  # deg/h for an angular rate
     # by standard name, or their own
     channels: Mapping[str, Channel] = field(default_factory=lambda: MappingProxyType({}))
-    untold_delay_s: float = 0.0  # up to which a delay beside the rate reference may be what joining them left
+    hidden_delay_s: float = 0.0  # up to which a delay beside the rate reference may be what joining them left
     is_date_known: bool = True  # whether `t0_ns` is a true date
 
     def __len__(self) -> int:

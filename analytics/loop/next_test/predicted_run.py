@@ -236,8 +236,8 @@ def _mounted(plan: Timeline, runs: Sequence[RunBlocks], positions: Mapping[str, 
     for channel, axis in zip(_GRAVITY, ("IRA", "OA", "SA"), strict=True):
         ups = [_recorded_in(runs, channel, positions.get(word)) for word in words]
         # the word of another axis counts for this one as that of its own
-        said = [input_axis_up(word.replace(axis, "IRA"), runs[0].signal) if axis in word else 0.0 for word in words]
-        both = [other if own is None else own for own, other in zip(ups, said, strict=True)]
+        declared = [input_axis_up(word.replace(axis, "IRA"), runs[0].signal) if axis in word else 0.0 for word in words]
+        both = [other if own is None else own for own, other in zip(ups, declared, strict=True)]
         found[channel] = np.array([np.nan if up is None else up for up in both], dtype=np.float64)[at]
     names = ("input_rate", "rate_o", "rate_s")
     return found | {name: plan.rate_deg_per_s * found[of] for name, of in zip(names, _GRAVITY, strict=True)}

@@ -73,7 +73,7 @@ class StationBounds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """What the unit has been through in its runs, within the limits of the station, as far as it is not given.
 
         Temperatures and rates that the runs do not show are those of the station; its voltages are not used, since a
-        supply gives more than a unit bears.
+        supply gives more than a unit withstands.
         """
         limits = dict(station or {})
         known = {name: value for name, value in _shown(runs).items() if value is not None}

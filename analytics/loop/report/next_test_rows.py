@@ -144,7 +144,7 @@ def bounds_sentence(found: NextTest, words: Wording) -> str | None:
     text = words.of("Bounds of the station: ", "台站能力范围：") + words.of(", ", "、").join(parts)
     if any(each["from"] == "station" for each in found.bounds.document().values()):
         text += words.of(
-            "; what the station file gives may be more than the unit bears: compare it with its specification",
+            "; what the station file gives may be more than the unit withstands: compare it with its specification",
             "；台站文件所给范围可能超出产品承受能力：请与产品技术指标核对",
         )
     return text + words.of(".", "。")

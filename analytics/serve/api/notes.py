@@ -57,7 +57,7 @@ def add_note(call: Call, asked: NoteAsked) -> Noted:
             raise
         give_note(call.store, note)
         is_visible = False
-    call.service.live.course.tell(note)
+    call.service.live.course.add_own(note)
     return Noted(document=msgspec.to_builtins(note), is_visible=is_visible)
 
 

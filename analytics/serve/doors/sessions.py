@@ -22,7 +22,7 @@ class Session:
     ----------
     fingerprint: That of the user when it was opened.
     longest_s: It ends after that, used or not.
-    role: What a provider has said; None where users file or token say it.
+    role: As the provider states it; None where the users file or a token states it.
     id_token: The provider's ID token, for the logout there.
     """
 

@@ -26,11 +26,11 @@ OfCourse = (
 )  # fmt: skip
 # a request may still look at the version of the lake before
 _KEPT_S = 15.0
-_TOLD, _TOLD_S = "", 30.0
+_OWN, _OWN_S = "", 30.0
 _HERE = Place("local", "entered")
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """A document, and when and where it came to the log."""
 
     arrival_ns: int
@@ -42,7 +42,7 @@ class LiveCourse:
     """Keeps documents of runs until the lake has them; for several threads."""
 
     def __init__(self) -> None:
-        self._heard: dict[str, list[tuple[str, Heard]]] = defaultdict(list)
+        self._received: dict[str, list[tuple[str, Received]]] = defaultdict(list)
         self._in_lake: dict[str, float] = {}  # segments, and since when
         self._lock = threading.Lock()
 
@@ -50,34 +50,34 @@ class LiveCourse:
         """Keep a document, if it is one of a run's course."""
         if isinstance(document, OfCourse) and document.run:
             with self._lock:
-                self._heard[document.run].append((segment, Heard(arrival_ns, place, document)))
+                self._received[document.run].append((segment, Received(arrival_ns, place, document)))
 
-    def tell(self, document: OfCourse) -> None:
+    def add_own(self, document: OfCourse) -> None:
         """Keep a document that this server knows of for as long as the log may take to have it."""
         with self._lock:
             now_ns = time.time_ns()
-            self._heard[document.run].append((_TOLD, Heard(now_ns, _HERE, document)))
+            self._received[document.run].append((_OWN, Received(now_ns, _HERE, document)))
 
-    def heard(self, run: str, in_lake: Collection[str]) -> list[Heard]:
+    def received(self, run: str, in_lake: Collection[str]) -> list[Received]:
         """Documents of a run that segments in the lake do not have, in their order."""
         with self._lock:
-            return [each for segment, each in self._heard.get(run, ()) if segment not in in_lake]
+            return [each for segment, each in self._received.get(run, ()) if segment not in in_lake]
 
     def forget(self, in_lake: Collection[str]) -> None:
         """Leave out what has been in the lake for some seconds."""
         now_s = time.monotonic()
         with self._lock:
-            segments = {segment for heard in self._heard.values() for segment, _ in heard}
+            segments = {segment for received in self._received.values() for segment, _ in received}
             self._in_lake = {each: self._in_lake.get(each, now_s) for each in segments if each in in_lake}
             gone = {each for each, since_s in self._in_lake.items() if now_s - since_s > _KEPT_S}
-            oldest_ns = time.time_ns() - round(_TOLD_S * 1e9)
-            for run in list(self._heard):
+            oldest_ns = time.time_ns() - round(_OWN_S * 1e9)
+            for run in list(self._received):
                 kept = [
                     (segment, each)
-                    for segment, each in self._heard[run]
-                    if (each.arrival_ns > oldest_ns if segment == _TOLD else segment not in gone)
+                    for segment, each in self._received[run]
+                    if (each.arrival_ns > oldest_ns if segment == _OWN else segment not in gone)
                 ]
                 if kept:
-                    self._heard[run] = kept
+                    self._received[run] = kept
                 else:
-                    del self._heard[run]
+                    del self._received[run]

@@ -21,13 +21,13 @@ class FloorRows:
     def __init__(self) -> None:
         self.version = 0
         self._steps: dict[str, int] = {"": 0}
-        self._told_steps = 1
-        self._runs: set[str] = set()  # changed since they were told
+        self._sent_steps = 1
+        self._runs: set[str] = set()  # changed since they were sent
 
     def begin(self) -> None:
         """Begin a floor whose units have other numbers."""
         self.version += 1
-        self._steps, self._told_steps = {"": 0}, 1
+        self._steps, self._sent_steps = {"": 0}, 1
         self._runs.clear()
 
     def document(self, floor: Floor) -> dict[str, Any]:
@@ -64,9 +64,9 @@ class FloorRows:
             return None
         self.version += 1
         states = [self._state(unit) for unit in changed]
-        names = list(self._steps)[self._told_steps :]
-        first, self._told_steps = self._told_steps, len(self._steps)
-        told = {
+        names = list(self._steps)[self._sent_steps :]
+        first, self._sent_steps = self._sent_steps, len(self._steps)
+        changes = {
             "version": self.version,
             "time_ns": time.time_ns(),
             "steps": {first + at: name for at, name in enumerate(names)},
@@ -76,7 +76,7 @@ class FloorRows:
             "gone": list(floor.gone),
         }
         runs.clear()
-        return told
+        return changes
 
     def _state(self, unit: UnitNow) -> list[int | float | None]:
         early = unit.decided_early if not unit.verdict else ""

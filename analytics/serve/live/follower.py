@@ -129,7 +129,7 @@ class FloorFollower(Closing):
             document = self.rows.document(fresh)
         tell(document["version"], "floor", json_text(document).encode())
         self._is_filled.set()
-        told_s = published_s = 0.0
+        sent_s = published_s = 0.0
         rows = LiveRows(self.fresh.version + 1, self.fresh.documents + 1)
         with LogFollower(self._store, state.segments, unread=True) as messages:
             while not self._ends.is_set():
@@ -151,9 +151,9 @@ class FloorFollower(Closing):
                         rows.publish()
                         self.fresh = rows
                     self._is_read.set()
-                is_due = began_s - told_s >= _RUNS_S
+                is_due = began_s - sent_s >= _RUNS_S
                 if is_due:
-                    told_s = began_s
+                    sent_s = began_s
                 self._tell(tell, with_runs=is_due)
                 # as long again as the look took, so that requests have their turn
                 self._ends.wait(max(_LOOK_S, time.monotonic() - began_s))

@@ -41,7 +41,7 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class CanBusCounts:
-    """Account of a bus so far, in frames unless said otherwise."""
+    """Account of a bus so far, in frames unless stated otherwise."""
 
     received: int = 0  # everything that was read from the interface: data, remote and error frames, and malformed ones
     decoded: int = 0  # data frames that the decoder has taken

@@ -81,9 +81,9 @@ class CanLog:
                     progress(min(place / size, 1.0))
             self.damage = "; ".join(filter(None, [self.damage, lines_left_out(reader)]))
             if getattr(reader, "has_local_time", False):
-                told = f"its time of day has no zone and is taken as of {self._zone or 'UTC'}"
+                zone = f"its time of day has no zone and is taken as of {self._zone or 'UTC'}"
                 advice = "" if self._zone else "; give --time-zone if that is not right"
-                self.note = "; ".join(filter(None, [self.note, told + advice]))
+                self.note = "; ".join(filter(None, [self.note, zone + advice]))
         finally:
             _stop(reader)
         self._held = held

@@ -48,8 +48,8 @@ def view(heard_s: dict[str, float], now_s: float = 100.0) -> AlertView:
     """Units of run r by when they were heard last; none is in the hands of a role of this computer."""
     units = {name: SimpleNamespace(run=SimpleNamespace(run="r"), is_at_work=True) for name in heard_s}
     found: Any = SimpleNamespace(
-        units=units, heard_ns={("r", name): round(at * S) for name, at in heard_s.items()}, now_ns=round(now_s * S),
-        began_ns=0, status=SimpleNamespace(roles=()),
+        units=units, last_sample_ns={("r", name): round(at * S) for name, at in heard_s.items()},
+        now_ns=round(now_s * S), began_ns=0, status=SimpleNamespace(roles=()),
     )  # fmt: skip
     return cast("AlertView", found)
 

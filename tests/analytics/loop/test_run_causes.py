@@ -135,9 +135,9 @@ def test_no_slope_is_given_where_the_training_gives_no_size_or_the_held_out_runs
         "; the training runs alone give no size of it that the held-out runs could confirm."
     )
     slope = msgspec.structs.replace(holdout.effects[0], slope=0.0, slope_se=1e-150, sole_run=None)
-    untold = msgspec.structs.replace(unsized, holdout=msgspec.structs.replace(holdout, effects=(slope,)))
+    hidden = msgspec.structs.replace(unsized, holdout=msgspec.structs.replace(holdout, effects=(slope,)))
     for each in (effect, msgspec.structs.replace(effect, of_biases=None)):
-        said = msgspec.structs.replace(untold, unreplicated=(each,))
+        said = msgspec.structs.replace(hidden, unreplicated=(each,))
         assert verdict_sentence(said, Wording("en")).endswith("the held-out runs have nothing that tells of it.")
         assert "The held-out runs have nothing that tells of it." in list(evidence(each, said, Wording("en")))
 

@@ -44,7 +44,7 @@ def test_a_record_without_estimates_is_named_until_one_comes() -> None:
         (text,) = texts
         assert "the limits of 2 of them are not judged while they are recorded" in text
         assert "`gyrofleet estimate`" in text
-        decisions.hear()
+        decisions.estimate_arrived()
         watch.look()
         assert texts[1:] == ["estimates of these units come"]
         time.sleep(0.25)

@@ -129,10 +129,10 @@ def not_resolved(rows: Mapping[str, BoolArray], interval_s: float, block_s: floa
     return _blocks_left_out("unresolved", rows, why, "input_rate")
 
 
-def untold_delay_s(reference_s: float, signal_s: float) -> float:
+def hidden_delay_s(reference_s: float, signal_s: float) -> float:
     """The longest delay that joining readings of two rates may leave, in seconds; 0 where both have one rate.
 
-    >>> untold_delay_s(1.0, 0.01), untold_delay_s(0.01, 0.01)
+    >>> hidden_delay_s(1.0, 0.01), hidden_delay_s(0.01, 0.01)
     (0.001, 0.0)
     """
     longer, shorter = max(reference_s, signal_s), min(reference_s, signal_s)
@@ -141,9 +141,9 @@ def untold_delay_s(reference_s: float, signal_s: float) -> float:
 
 def two_rates(reference_s: float, signal_s: float, block_s: float) -> list[Note]:
     """Note a swinging reference that is read at another rate than the signal."""
-    if not (untold_s := untold_delay_s(reference_s, signal_s)):
+    if not (hidden_s := hidden_delay_s(reference_s, signal_s)):
         return []
-    least = f"{untold_s:.1g} s"
+    least = f"{hidden_s:.1g} s"
     text = Bilingual(
         f"the reference rate swings, and is read every {reference_s:.3g} s, the signal every {signal_s:.3g} s: a time "
         f"offset or an effect of angular acceleration that is a delay of less than {least} may be what is left of the "

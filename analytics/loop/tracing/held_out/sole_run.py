@@ -1,4 +1,4 @@
-"""The one run that bears an effect which only the biases of the runs show."""
+"""The one run without which an effect of the biases of runs does not show."""
 
 import numpy as np
 

@@ -39,7 +39,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     # log likelihood less that of a bias that walks from run to run; None if the runs themselves show the effect
     walk_log_odds: float | None = None
     is_independent: bool = True  # whether the training runs name the effect without them
-    sole_run: str | None = None  # the run that alone bears the effect: the others do not show it
+    sole_run: str | None = None  # the only run that shows the effect
 
     @property
     def tells_nothing(self) -> bool:
@@ -139,7 +139,7 @@ class Holdout(msgspec.Struct, frozen=True):
         )
 
     def resting_on(self, name: str, run: str) -> "Holdout":
-        """The answers on an effect that one run alone bears: other runs cannot confirm it."""
+        """The answers on an effect that one run alone shows: other runs cannot confirm it."""
         is_only = self.total.effect == name
         return msgspec.structs.replace(
             self,

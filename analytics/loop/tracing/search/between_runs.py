@@ -1,4 +1,4 @@
-"""Evidence that only the biases of few runs bear is worth less than the same evidence of many blocks."""
+"""Evidence from the biases of few runs alone is worth less than the same evidence of many blocks."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ def _within_runs(joint: JointFit, tried: int) -> float:
 def calibrated_ratio(joint: JointFit, ratio: float, tried: int) -> float:
     """The likelihood ratio of the last `tried` columns of a single unit, as a chi-square of as many degrees.
 
-    The part that the biases of n runs bear is n*ln(1 + k*F/v) with k coefficients and v = n - 1 - k degrees left, where
+    The part of the biases of n runs is n*ln(1 + k*F/v) with k coefficients and v = n - 1 - k degrees left, where
     the turn-on scatter is fitted to the same runs: the chi-square with the p-value of F takes its place. Where the
     scatter is declared, only of effects with more coefficients than degrees left: these runs cannot test them.
     """
@@ -107,5 +107,5 @@ class BetweenRuns:
 
 
 def _between(whole: float, unmasked: float) -> float:
-    """The part of a chi-square that the biases of runs bear: with a tenth of their scatter it is a hundred times it."""
+    """The part of a chi-square that the biases of runs give: with a tenth of their scatter it is a hundred times it."""
     return (unmasked - whole) / (UNMASKED_SHARE**-2 - 1)

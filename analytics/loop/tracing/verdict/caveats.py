@@ -111,7 +111,7 @@ def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Biling
             )
 
 
-def untold_caveat(found: FoundEffect) -> Bilingual:
+def hidden_delay_caveat(found: FoundEffect) -> Bilingual:
     """An effect that may be what is left of joining a gyro and a rate reference of two sample rates."""
     name = registry.effect_name(found.name)
     return Bilingual(

@@ -25,21 +25,21 @@ from analytics.loop.tracing.verdict.adequacy import detection_limits
 from analytics.loop.tracing.verdict.caveats import (
     caveats,
     differing_caveats,
+    hidden_delay_caveat,
     undetermined_terms,
     unexplained_error,
-    untold_caveat,
     weak_terms,
 )
 from analytics.loop.tracing.verdict.effect_findings import (
     AGEING,
     fitted_model,
-    is_untold,
+    may_be_delay,
     of_biases,
     unreplicated,
     with_ageing,
     with_causes,
     with_clock_bounds,
-    with_untold_delay,
+    with_hidden_delay,
 )
 from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats, refit_caveats
 from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
@@ -120,11 +120,11 @@ def conclude(
         remarks += untested_biases(case, model)
     declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
     effects = tuple(
-        with_untold_delay(with_clock_bounds(each, declared_model), declared_model, case.stack.runs) for each in effects
+        with_hidden_delay(with_clock_bounds(each, declared_model), declared_model, case.stack.runs) for each in effects
     )
     effects = with_sensor_lag(effects, kept)
-    untold = [each for each in effects if is_untold(each, case.stack.runs)]
-    remarks += map(untold_caveat, untold)
+    hidden = [each for each in effects if may_be_delay(each, case.stack.runs)]
+    remarks += map(hidden_delay_caveat, hidden)
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
     walks = [
         each
@@ -134,7 +134,7 @@ def conclude(
         or (each.of_biases and not each.confirmed)
     ]
     is_excess = declared is not None and excess.is_excess
-    doubtful = (*walks, *(each for each in untold if each not in walks))
+    doubtful = (*walks, *(each for each in hidden if each not in walks))
     verdict = verdict_of(
         [each for each in effects if each not in doubtful],
         (*seen_once, *doubtful),

@@ -97,27 +97,27 @@ def _bounded(other: ConfoundedEffect, declared: ErrorModel) -> ConfoundedEffect:
     return msgspec.structs.replace(other, implied=abs(other.coefficient) / sensitivity, most=most, implied_unit=unit)
 
 
-def with_untold_delay(found: FoundEffect, declared: ErrorModel, runs: Sequence[RunBlocks]) -> FoundEffect:
+def with_hidden_delay(found: FoundEffect, declared: ErrorModel, runs: Sequence[RunBlocks]) -> FoundEffect:
     """A finding that acts as a delay of the rate reference, with bounds that allow for what joining two rates leaves.
 
     It is not confirmed where these bounds contain zero.
     """
     own, labels = effect(found.name), declared.labels()
-    untold_s = max(run.untold_delay_s for run in runs)
+    hidden_s = max(run.hidden_delay_s for run in runs)
     of_clock = own.clock_bound is not None and own.clock_bound[0] == SCALE_FACTOR
-    if untold_s == 0.0 or SCALE_FACTOR not in labels or not (of_clock or own.needs == ("table_acceleration",)):
+    if hidden_s == 0.0 or SCALE_FACTOR not in labels or not (of_clock or own.needs == ("table_acceleration",)):
         return found
-    reach = untold_s * abs(declared.coefficients[labels.index(SCALE_FACTOR)])
+    reach = hidden_s * abs(declared.coefficients[labels.index(SCALE_FACTOR)])
     if own.clock_bound is not None and own.clock_bound[2] == PER_HOUR:
         reach /= max(float(run.time_s[-1]) for run in runs) / 3600.0
     wider = tuple(msgspec.structs.replace(each, lo=each.lo - reach, hi=each.hi + reach) for each in found.coefficients)
-    is_told = all(each.lo > 0.0 or each.hi < 0.0 for each in wider)
-    return msgspec.structs.replace(found, coefficients=wider, confirmed=found.confirmed if is_told else None)
+    is_nonzero = all(each.lo > 0.0 or each.hi < 0.0 for each in wider)
+    return msgspec.structs.replace(found, coefficients=wider, confirmed=found.confirmed if is_nonzero else None)
 
 
-def is_untold(found: FoundEffect, runs: Sequence[RunBlocks]) -> bool:
-    """Whether a finding may be what joining two rates leaves, see `with_untold_delay`."""
-    acts = {"input_rate", "table_acceleration"}.intersection(found.roles) and any(run.untold_delay_s for run in runs)
+def may_be_delay(found: FoundEffect, runs: Sequence[RunBlocks]) -> bool:
+    """Whether a finding may be what joining two rates leaves, see `with_hidden_delay`."""
+    acts = {"input_rate", "table_acceleration"}.intersection(found.roles) and any(run.hidden_delay_s for run in runs)
     own = effect(found.name)
     is_delay = own.needs == ("table_acceleration",) or own.clock_bound is not None
     return bool(acts) and is_delay and any(each.lo <= 0.0 <= each.hi for each in found.coefficients)

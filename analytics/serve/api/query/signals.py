@@ -193,8 +193,8 @@ def signal(call: Call, asked: SignalAsked) -> SignalBuckets:
 
 def _is_dated(call: Call, run: str) -> bool:
     """Whether the times of a run are dates, by its documents that the lake does not have yet."""
-    heard = call.service.live.course.heard(run, call.state.segments)
-    return all(each.document.date_known for each in heard if isinstance(each.document, RunStarted))
+    received = call.service.live.course.received(run, call.state.segments)
+    return all(each.document.date_known for each in received if isinstance(each.document, RunStarted))
 
 
 def _with_live(about: Mapping[str, Any], live: LiveSamples | None) -> Mapping[str, Any]:

@@ -59,7 +59,7 @@ def command_run(call: Call, asked: CommandAsked) -> CommandGiven:
     )
     answer = given.answer
     for document in command_documents(given.command, answer, time.time_ns()):
-        call.service.live.course.tell(document)
+        call.service.live.course.add_own(document)
     if answer.outcome in {CommandOutcome.REFUSED, CommandOutcome.UNANSWERED}:
         raise Conflict(f"{asked.action} {answer.outcome}: {answer.text}")
     return CommandGiven(

@@ -8,7 +8,7 @@ from analytics.alerts.kept_alerts import raised_alerts
 from analytics.serve.api.alerts import AlertRow, alert_row
 from analytics.serve.api.operation import Call, Nothing, get
 from analytics.serve.api.rows import dictionaries, iso
-from analytics.serve.live.course import Heard, OfCourse
+from analytics.serve.live.course import OfCourse, Received
 from storage.recording.run_command import withdrawn_commands
 from storage.recording.status_board import read_statuses
 from stream.decoding import decode_json
@@ -142,10 +142,10 @@ class RunCourse(msgspec.Struct, frozen=True, kw_only=True):
     progress: CourseProgress | None
 
 
-class _Told(msgspec.Struct):
+class _Stored(msgspec.Struct):
     """What the lake has of a run's course."""
 
-    heard: list[Heard]
+    received: list[Received]
     steps: list[dict[str, Any]]
     measured: list[dict[str, Any]]
 
@@ -155,50 +155,50 @@ def run_course(call: Call, asked: Nothing) -> RunCourse:
     """The course of a run: steps, gaps, instruments, limits, commands, notes and alerts, up to this moment."""
     del asked
     name = call.path["run"]
-    told: _Told = call.service.memo.result(("course", name, call.state.tag), lambda: _told(call, name))
-    fresh = call.service.live.course.heard(name, call.state.segments)
-    known = {each.document.uid: each for each in (*fresh, *told.heard)}
-    heard = sorted(known.values(), key=lambda each: each.arrival_ns)
-    tested = next((each.document.units for each in heard if isinstance(each.document, RunStarted)), ())
-    channels = {(row["unit"], row["signal"]): row["unit_of_measure"] for row in told.measured}
+    stored: _Stored = call.service.memo.result(("course", name, call.state.tag), lambda: _stored(call, name))
+    fresh = call.service.live.course.received(name, call.state.segments)
+    known = {each.document.uid: each for each in (*fresh, *stored.received)}
+    received = sorted(known.values(), key=lambda each: each.arrival_ns)
+    tested = next((each.document.units for each in received if isinstance(each.document, RunStarted)), ())
+    channels = {(row["unit"], row["signal"]): row["unit_of_measure"] for row in stored.measured}
     channels |= call.service.live.tail.channels(name)
-    if not heard and not channels:
+    if not received and not channels:
         raise NotFound(f"run {name!r} is not in the store; /api/runs lists them")
-    ended = _ended(heard)
+    ended = _ended(received)
     progress = _progress(call, name)
-    last_ns = max([each.arrival_ns for each in heard] + [row["last_ns"] or 0 for row in told.measured], default=0)
+    last_ns = max([each.arrival_ns for each in received] + [row["last_ns"] or 0 for row in stored.measured], default=0)
     is_at_work = progress is not None and progress.condition not in ("ended", "interrupted", "killed")
     is_live = ended is None and is_at_work
-    started = [each.document for each in heard if isinstance(each.document, RunStarted)]
+    started = [each.document for each in received if isinstance(each.document, RunStarted)]
     instruments = sorted({unit for unit, _ in channels} - set(tested)) if tested else []
     return RunCourse(
         run=name, is_live=is_live, outcome="open" if ended is None else ended.outcome,
         date_known=all(each.date_known for each in started),
         units=sorted(tested) or sorted({unit for unit, _ in channels}),
-        steps=_steps(told.steps, fresh, is_live=is_live), gaps=_gaps(heard),
+        steps=_steps(stored.steps, fresh, is_live=is_live), gaps=_gaps(received),
         measured=[
             Measured(instrument=unit, signal=signal, unit_of_measure=of)
             for (unit, signal), of in sorted(channels.items())
             if unit in instruments and of in _PLOTTED
         ],
-        limits=_limits(heard), commands=_commands(call, name, heard), notes=_notes(heard),
-        alerts=_alerts(call, name, {*tested, *instruments}, heard, None if is_live else last_ns), progress=progress,
+        limits=_limits(received), commands=_commands(call, name, received), notes=_notes(received),
+        alerts=_alerts(call, name, {*tested, *instruments}, received, None if is_live else last_ns), progress=progress,
     )  # fmt: skip
 
 
-def _told(call: Call, run: str) -> _Told:
+def _stored(call: Call, run: str) -> _Stored:
     of = {"run": run}
-    heard = []
+    received = []
     for row in dictionaries(call.views, _DOCUMENTS, of):
         document = decode_json(row["document"], OfCourse)
-        heard.append(Heard(row["arrival_ns"], Place(row["site"], row["station"]), document))
-    return _Told(heard, dictionaries(call.views, _STEPS, of), dictionaries(call.views, _MEASURED, of))
+        received.append(Received(row["arrival_ns"], Place(row["site"], row["station"]), document))
+    return _Stored(received, dictionaries(call.views, _STEPS, of), dictionaries(call.views, _MEASURED, of))
 
 
-def _ended(heard: list[Heard]) -> RunEnded | None:
+def _ended(received: list[Received]) -> RunEnded | None:
     """The document of the run's end, if it has not gone on since."""
     ended = None
-    for each in heard:
+    for each in received:
         if isinstance(each.document, RunEnded):
             ended = each.document
         elif isinstance(each.document, RunResumed):
@@ -206,11 +206,11 @@ def _ended(heard: list[Heard]) -> RunEnded | None:
     return ended
 
 
-def _steps(told: list[dict[str, Any]], fresh: list[Heard], *, is_live: bool) -> list[CourseStep]:
+def _steps(stored: list[dict[str, Any]], fresh: list[Received], *, is_live: bool) -> list[CourseStep]:
     """Steps of the lake and of the log's tail, in their order; those of one stretch and the same words as one."""
     rows: dict[str, tuple[StepWords, int, int]] = {}  # open ones by uid: words, start, weight
     done: list[tuple[StepWords, int, int | None, str, int]] = []
-    for row in told:
+    for row in stored:
         words = decode_json(row["words"], StepWords)
         if row["outcome"] == "open":
             rows |= dict.fromkeys(row["open"], (words, row["t_start_ns"], 1))
@@ -236,8 +236,8 @@ def _steps(told: list[dict[str, Any]], fresh: list[Heard], *, is_live: bool) -> 
     ]  # fmt: skip
 
 
-def _gaps(heard: list[Heard]) -> list[CourseGap]:
-    resumed = [each.document for each in heard if isinstance(each.document, RunResumed)]
+def _gaps(received: list[Received]) -> list[CourseGap]:
+    resumed = [each.document for each in received if isinstance(each.document, RunResumed)]
     return [
         CourseGap(from_ns=each.t_ns - each.gap_ns, to_ns=each.t_ns, reason=each.reason)
         for each in resumed
@@ -245,19 +245,19 @@ def _gaps(heard: list[Heard]) -> list[CourseGap]:
     ]
 
 
-def _limits(heard: list[Heard]) -> dict[str, list[Limit]]:
+def _limits(received: list[Received]) -> dict[str, list[Limit]]:
     found: dict[str, list[Limit]] = {}
-    for each in heard:
+    for each in received:
         if isinstance(each.document, LimitsApplied) and each.document.limits:
             found[each.document.unit or ""] = list(each.document.limits)
     return found
 
 
-def _commands(call: Call, run: str, heard: list[Heard]) -> list[CommandRow]:
+def _commands(call: Call, run: str, received: list[Received]) -> list[CommandRow]:
     """Commands, the newest first; the last answer counts."""
     given: dict[str, RunCommandGiven] = {}
     answers: dict[str, RunCommandAnswered] = {}
-    for each in heard:
+    for each in received:
         if isinstance(each.document, RunCommandGiven):
             given[each.document.uid] = each.document
         elif isinstance(each.document, RunCommandAnswered):
@@ -285,8 +285,8 @@ def _row(uid: str, of: Any, outcome: str, text: str, text_zh: str) -> CommandRow
     )  # fmt: skip
 
 
-def _notes(heard: list[Heard]) -> list[CourseNote]:
-    notes = [(each.arrival_ns, each.document) for each in heard if isinstance(each.document, NoteAdded)]
+def _notes(received: list[Received]) -> list[CourseNote]:
+    notes = [(each.arrival_ns, each.document) for each in received if isinstance(each.document, NoteAdded)]
     found = []
     for arrival_ns, note in notes[-_MOST_NOTES:]:
         # that on an import has the time of the last sample, which may be months before
@@ -295,9 +295,9 @@ def _notes(heard: list[Heard]) -> list[CourseNote]:
     return found
 
 
-def _alerts(call: Call, run: str, units: set[str], heard: list[Heard], last_ns: int | None) -> list[AlertRow]:
+def _alerts(call: Call, run: str, units: set[str], received: list[Received], last_ns: int | None) -> list[AlertRow]:
     """Alerts on the run, and those on its units that were raised while it went on."""
-    first_ns = min((each.arrival_ns for each in heard), default=0)
+    first_ns = min((each.arrival_ns for each in received), default=0)
     until_ns = 2**62 if last_ns is None else last_ns + _LATE_NS
     return [
         alert_row(alert)

@@ -197,7 +197,7 @@ def _title(found: dict[str, Any], metric: str) -> Label:
 
 
 def _levels(groups: dict[str, list[str]], by: str) -> tuple[list[str], list[str]]:
-    """Groups by which values are told apart: those asked for, else stations if several, else a few units."""
+    """Groups by which values are distinguished: those asked for, else stations if several, else a few units."""
     names = [by] if by else ["station", "unit"]
     for name in names:
         levels = sorted(set(groups.get(name, [])))

@@ -90,15 +90,15 @@ class OidcProvider:
 
     def tokens(self, code: str, verifier: str) -> Tokens:
         """The tokens that a code stands for; a code counts once."""
-        heard: list[requests.Response] = []
+        responses: list[requests.Response] = []
 
-        def hear(response: requests.Response) -> requests.Response:
-            heard.append(response)
+        def keep(response: requests.Response) -> requests.Response:
+            responses.append(response)
             return response
 
         endpoint = self.metadata().token_endpoint
         with self._session() as session:
-            session.register_compliance_hook("access_token_response", hear)
+            session.register_compliance_hook("access_token_response", keep)
             try:
                 found = session.fetch_token(
                     endpoint, grant_type="authorization_code", code=code, code_verifier=verifier,
@@ -111,7 +111,7 @@ class OidcProvider:
         id_token, access_token = found.get("id_token"), found.get("access_token")
         if not isinstance(id_token, str) or not isinstance(access_token, str):
             raise OidcProblem("token", f"{endpoint} answers without an ID token")
-        return Tokens(id_token, access_token, _clock_of(heard[-1]) if heard else None)
+        return Tokens(id_token, access_token, _clock_of(responses[-1]) if responses else None)
 
     def _session(self) -> OAuth2Session:
         methods = self.metadata().token_endpoint_auth_methods_supported

@@ -1,4 +1,4 @@
-"""Pages of a login by a provider: there, back again, and out; what fails is said in both languages."""
+"""Pages of a login by a provider: there, back again, and out; failures are reported in both languages."""
 
 import anyio.to_thread
 from starlette.requests import Request
