@@ -15,6 +15,7 @@ _KINK = (
     0.33  # of the second differences of those pieces in one, from which they step or bend: swings have a fifth in one
 )
 _SHARP = 10.0  # times the usual fourth difference, from which rough pieces are an edge and not noise
+_TURNING = 0.01  # of the squares of second differences, below which those of fourth ones are no noise: a swing turns
 _FAST = 0.5  # mean square of second differences over the variance: of swings of 7.5 pieces, 2 % at their end unknown
 _EVEN = 0.1  # of the time from piece to piece by which it may differ
 ORDERS = 5  # of derivatives: of readings 1 s apart on a swing of 0.1 Hz, 0.2 ms are left of 0.5 s
@@ -69,18 +70,27 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         about = np.lib.stride_tricks.sliding_window_view(mean, pieces)
         bends, squares = (np.lib.stride_tricks.sliding_window_view(each, pieces - 2) for each in (bend, bend**2))
         smooth = np.lib.stride_tricks.sliding_window_view(joined, pieces - 1).all(axis=1)
-        smooth &= (bends.max(axis=1) <= _KINK * bends.sum(axis=1)) & (np.ptp(about, axis=1) > WIDE * np.ptp(known))
         fourth = np.lib.stride_tricks.sliding_window_view(sharp, pieces - 4)
-        is_rough = (fourth**2).sum(axis=1) > squares.sum(axis=1)  # of swings of six pieces and faster, and short ramps
+        roughness, bending = (fourth**2).sum(axis=1), squares.sum(axis=1)
+        is_rough = roughness > bending  # of swings of six pieces and faster, and short ramps
+        is_quiet = smooth & (np.ptp(about, axis=1) <= WIDE * np.ptp(known))
+        smooth &= ~is_quiet | (roughness < _TURNING * bending)
+        smooth &= bends.max(axis=1) <= _KINK * bends.sum(axis=1)
         smooth &= ~(is_rough & (fourth.max(axis=1) > _SHARP * usual))
         swings = squares.mean(axis=1) > _FAST * np.var(about, axis=1)
         weights = _at_edges(pieces)
         for at in range(pieces + 1):
-            of = np.flatnonzero(smooth)
+            of = np.flatnonzero(smooth | is_quiet)
             if at != pieces // 2:  # beside a gap or an end, where no other pieces are
                 if pieces != _STENCIL_AT_END:
                     continue
                 of = of[~before[of]] if at < pieces // 2 else of[~after[of + pieces - 1]]
+            rests = of[~smooth[of]]
+            if at < pieces:
+                turned_in[rests + at] = 0.0
+            if at > 0:
+                turned_out[rests + at - 1] = 0.0
+            of = of[smooth[of]]
             derivatives = about[of] @ weights[:, at].T
             value, slope = derivatives[:, 0], derivatives[:, 1:]
             if at < pieces:
@@ -94,12 +104,15 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     seconds = np.add.reduceat(np.full(size, piece_s), first)
     per_s = piece_s ** -np.arange(1.0, ORDERS)
     turned = (turned_out[last] - turned_in[first]) * per_s / seconds[:, None]
+    # from rest to rest the means of blocks say more, since they have less noise
+    moved = np.abs(end[last] - begin[first]) > WIDE * (np.ptp(known) if known.size else 0.0)
+    rests = (turned_in[first] == 0.0).all(axis=1) & (turned_out[last] == 0.0).all(axis=1) & ~moved
     return Slopes(
         np.nan_to_num((end - begin) / piece_s),
         np.nan_to_num((end[last] - begin[first]) / seconds),
         np.nan_to_num((turned_out - turned_in) * per_s / piece_s),
         np.nan_to_num(turned),
-        np.isfinite(turned).all(axis=1),
+        np.isfinite(turned).all(axis=1) & ~rests,
         piece_s,
         is_open[first] | is_open[last],
     )
