@@ -59,7 +59,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     begin, end = _beside_steps(mean, spread, before, after)
     # derivatives per piece at begin and end, where it is smooth
     turned_in, turned_out = (np.full((size, ORDERS - 1), np.nan) for _ in range(2))
-    is_open = np.zeros(size, np.bool_)
+    rests_in, rests_out, is_open = (np.zeros(size, np.bool_) for _ in range(3))
     known = mean[np.isfinite(mean)]
     moves = known.size > 0 and not is_noise(np.zeros(known.size, np.int64), known, np.array([known.size]))
     bend, sharp = np.abs(np.diff(mean, 2)), np.abs(np.diff(mean, 4))
@@ -73,9 +73,11 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         fourth = np.lib.stride_tricks.sliding_window_view(sharp, pieces - 4)
         roughness, bending = (fourth**2).sum(axis=1), squares.sum(axis=1)
         is_rough = roughness > bending  # of swings of six pieces and faster, and short ramps
-        is_quiet = smooth & (np.ptp(about, axis=1) <= WIDE * np.ptp(known))
+        range_ = np.ptp(about, axis=1)
+        is_quiet = smooth & (range_ <= WIDE * np.ptp(known))
         smooth &= ~is_quiet | (roughness < _TURNING * bending)
-        smooth &= bends.max(axis=1) <= _KINK * bends.sum(axis=1)
+        # where a swing has no curvature only its noise bends
+        smooth &= bends.max(axis=1) <= np.maximum(_KINK * bends.sum(axis=1), WIDE * range_)
         smooth &= ~(is_rough & (fourth.max(axis=1) > _SHARP * usual))
         swings = squares.mean(axis=1) > _FAST * np.var(about, axis=1)
         weights = _at_edges(pieces)
@@ -87,9 +89,9 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
                 of = of[~before[of]] if at < pieces // 2 else of[~after[of + pieces - 1]]
             rests = of[~smooth[of]]
             if at < pieces:
-                turned_in[rests + at] = 0.0
+                rests_in[rests + at] = True
             if at > 0:
-                turned_out[rests + at - 1] = 0.0
+                rests_out[rests + at - 1] = True
             of = of[smooth[of]]
             derivatives = about[of] @ weights[:, at].T
             value, slope = derivatives[:, 0], derivatives[:, 1:]
@@ -104,15 +106,18 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     seconds = np.add.reduceat(np.full(size, piece_s), first)
     per_s = piece_s ** -np.arange(1.0, ORDERS)
     turned = (turned_out[last] - turned_in[first]) * per_s / seconds[:, None]
-    # from rest to rest the means of blocks say more, since they have less noise
-    moved = np.abs(end[last] - begin[first]) > WIDE * (np.ptp(known) if known.size else 0.0)
-    rests = (turned_in[first] == 0.0).all(axis=1) & (turned_out[last] == 0.0).all(axis=1) & ~moved
+    is_smooth = np.isfinite(turned).all(axis=1)
+    # beside a rest as well; in a rest the means of blocks have less noise
+    inside = np.fmax.reduceat(mean, first) - np.fmin.reduceat(mean, first)
+    moved = inside > WIDE * (np.ptp(known) if known.size else 0.0)
+    edges = np.isfinite(turned_in[first, 0]) | rests_in[first], np.isfinite(turned_out[last, 0]) | rests_out[last]
+    is_smooth |= edges[0] & edges[1] & moved
     return Slopes(
         np.nan_to_num((end - begin) / piece_s),
         np.nan_to_num((end[last] - begin[first]) / seconds),
         np.nan_to_num((turned_out - turned_in) * per_s / piece_s),
         np.nan_to_num(turned),
-        np.isfinite(turned).all(axis=1) & ~rests,
+        is_smooth,
         piece_s,
         is_open[first] | is_open[last],
     )
