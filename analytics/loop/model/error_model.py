@@ -34,6 +34,11 @@ class ModelNoise(msgspec.Struct, frozen=True, omit_defaults=True):
     B: float  # flicker: bias instability, u (deg/h); 0 where there is none
     K: float  # random walk, u/sqrt(h) (rate random walk, deg/h/sqrt(h)); 0 where there is none
     turn_on: float  # standard deviation of the bias from run to run, u (deg/h)
+    most: tuple[float, float, float] | None = None  # N, B, K that the unit's own Allan fits allow, where they give it
+
+    def parameters(self) -> dict[str, float]:
+        """N, B, K and turn-on scatter by name."""
+        return {"N": self.N, "B": self.B, "K": self.K, "turn_on": self.turn_on}
 
 
 class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -77,6 +77,8 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
                 "no confirmation, since the training runs alone do not show it",
                 "不作为证实，因训练试验单独未显示该效应",
             )
+        elif slope.answer is HeldOutAnswer.CONFIRMED and found.has_no_size:
+            answer = words.of("no confirmation, since its bounds contain zero", "不作为证实，因其区间含零")
         yield words.of(
             f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
             f"{answer}.",

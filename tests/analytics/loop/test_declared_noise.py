@@ -32,6 +32,7 @@ def test_noise_comes_from_the_allan_fits_of_the_unit(tested: TestedUnits) -> Non
         assert not isinstance(noise, NoEstimate)
         # the fit of r1 does not describe it; lower quartile of 0.02 to 0.05
         np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.0275, 0.2, 0.3])
+        assert noise.most == (0.9, 0.9, 0.9)
         assert noise.turn_on == pytest.approx(14.826, rel=0.01)  # of constants 10 apart
         none = declared_noise(catalog, runs[:1], ErrorModel.parse("bias"))
         assert isinstance(none, NoEstimate)

@@ -128,3 +128,22 @@ def test_noise_without_turn_on_scatter_has_it_estimated() -> None:
     estimated = with_turn_on(given, runs, BIAS)
     assert estimated.turn_on == pytest.approx(65.0 / 2 * 1.4826, rel=0.01)
     assert with_turn_on(given._replace(turn_on=0.3), runs, BIAS).turn_on == 0.3
+
+
+@pytest.mark.parametrize("own_fits", [True, False])
+def test_a_walk_that_no_allan_fit_shows_is_no_excess_of_what_the_fits_allow(*, own_fits: bool) -> None:
+    """A third of its upper bound is declared for it; that nothing explains the rest had been the verdict."""
+    rng = np.random.default_rng(6)
+    ones = np.ones(BLOCKS)
+    white, walk = 0.05 / np.sqrt(30.0 / 3600.0), 0.9 * np.sqrt(30.0 / 3600.0)
+    runs = [
+        RunBlocks(
+            "U1", f"r{at}", "rate", np.arange(BLOCKS), 30.0, at * DAY_NS,
+            rng.normal(0.0, 0.15) + white * rng.standard_normal(BLOCKS) + walk * np.cumsum(rng.standard_normal(BLOCKS)),
+            30 * ones.astype(int), white**2 * ones, "deg/h",
+        )
+        for at in range(9)
+    ]  # fmt: skip
+    noise = ModelNoise(N=0.05, B=0.05, K=0.36, turn_on=0.15, most=(0.06, 0.15, 1.1) if own_fits else None)
+    found = diagnose(runs, BIAS, declared_noise=noise, turn_on_is_declared=False)
+    assert found.verdict is (ModelVerdict.NOTHING_MISSING if own_fits else ModelVerdict.UNEXPLAINED)

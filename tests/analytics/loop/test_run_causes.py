@@ -142,12 +142,31 @@ def test_no_slope_is_given_where_the_training_gives_no_size_or_the_held_out_runs
         assert "The held-out runs have nothing that tells of it." in list(evidence(each, said, Wording("en")))
 
 
-def test_a_second_far_run_that_agrees_confirms() -> None:
+def second_far_run() -> Diagnosis:
+    """Two runs at another temperature agree in their biases."""
     rng = np.random.default_rng(1)
     levels, biases = 25.0 + 0.5 * rng.standard_normal(9), SCATTER * rng.standard_normal(9)
     levels[[2, 7]] = 60.0
     biases[[2, 7]] += 0.6
-    found = diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+    return diagnose(runs_at(levels, biases, rng), MODEL, declared_noise=noise_of(biases), turn_on_is_declared=False)
+
+
+def test_a_second_far_run_that_agrees_confirms() -> None:
+    found = second_far_run()
     assert found.verdict in (ModelVerdict.EFFECT_FOUND, ModelVerdict.CONFOUNDED)
     assert found.effects[0].confirmed
     assert found.effects[0].sole_run is None
+
+
+def test_an_effect_whose_bounds_contain_zero_is_not_confirmed_by_its_slope() -> None:
+    found = second_far_run()
+    effect, holdout = found.effects[0], found.holdout
+    assert holdout is not None
+    assert effect.confirmed
+    assert not effect.has_no_size
+    none = msgspec.structs.replace(effect.coefficients[0], value=0.0, lo=0.0)
+    unsized = msgspec.structs.replace(effect, coefficients=(none,), of_biases=None)
+    assert unsized.has_no_size
+    sentences = list(evidence(unsized, found, Wording("en")))
+    assert any(each.endswith("no confirmation, since its bounds contain zero.") for each in sentences)
+    assert not any(each.endswith(": confirmed.") for each in sentences)

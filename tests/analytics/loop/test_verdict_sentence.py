@@ -12,7 +12,7 @@ from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.holdout import ErrorGain, ExpectedGain, HeldOutAnswer, Holdout, HoldoutSlope
-from analytics.loop.tracing.verdict.caveats import hidden_delay_caveat
+from analytics.loop.tracing.verdict.caveats import hidden_delay_caveat, no_size_caveat
 from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats
 from tests.diagnosed_units import NOISE, SHUPE, a_finding, diagnosed
 
@@ -138,7 +138,7 @@ def test_caveats_name_effects_in_the_words_of_the_field() -> None:
     ]
     texts = [each for one in held_out for each in holdout_caveats(Holdout(("r",), one, (one,)), [found])]
     assert len(texts) == len(held_out)
-    for each in (*texts, hidden_delay_caveat(found)):
+    for each in (*texts, hidden_delay_caveat(found), no_size_caveat(found)):
         assert each.startswith("function of input rate")
         assert each.zh.startswith("输入角速率的未知函数")
         assert found.name not in each + each.zh

@@ -109,6 +109,11 @@ class FoundEffect(msgspec.Struct, frozen=True):
         """Whether the training runs give it a size: the bounds of a coefficient leave out zero."""
         return any(each.lo > 0 or each.hi < 0 for each in self.coefficients)
 
+    @property
+    def has_no_size(self) -> bool:
+        """Whether its only coefficient may as well be zero."""
+        return len(self.coefficients) == 1 and not self.is_sized
+
     def document(self) -> dict[str, Any]:
         """JSON form: one coefficient as a number, several as lists in the order of `columns`."""
         each = self.coefficients

@@ -121,6 +121,15 @@ def hidden_delay_caveat(found: FoundEffect) -> Bilingual:
     )
 
 
+def no_size_caveat(found: FoundEffect) -> Bilingual:
+    """An effect of which the training runs may have none, though the held-out runs go with what was found."""
+    name = registry.effect_name(found.name)
+    return Bilingual(
+        f"{name} is not confirmed: its bounds contain zero, beside the other effects that were found",
+        f"{name.zh}未获证实：在与所发现的其他效应并存时，其区间含零",
+    )
+
+
 def _steps_at(values: FloatArray, at: int) -> bool:
     """Whether a channel changes within two blocks of a place by a third of its range in the run, between plateaus."""
     before, after = values[max(at - _PLATEAU, 0) : max(at - 1, 0)], values[at + 2 : at + 1 + _PLATEAU]

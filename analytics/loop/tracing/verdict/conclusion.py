@@ -26,6 +26,7 @@ from analytics.loop.tracing.verdict.caveats import (
     caveats,
     differing_caveats,
     hidden_delay_caveat,
+    no_size_caveat,
     undetermined_terms,
     unexplained_error,
     weak_terms,
@@ -88,7 +89,7 @@ def conclude(
     if kept is not found:
         every = _refitted(every, bounded_findings(candidates, kept))
     noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
-    excess = agreement.noise_excess(training, kept.joint)
+    excess = agreement.noise_excess(training, kept.joint, None if declared is None else declared.most)
     noise = agreement.measured_noise(training, noises[0])
     tests = screen(candidates, designs, noises, rng).tests
     shares = error_shares(box, kept)
@@ -125,6 +126,11 @@ def conclude(
     effects = with_sensor_lag(effects, kept)
     hidden = [each for each in effects if may_be_delay(each, case.stack.runs)]
     remarks += map(hidden_delay_caveat, hidden)
+    unsized = [at for at, each in enumerate(effects) if each.confirmed and each.has_no_size and each not in hidden]
+    remarks += [no_size_caveat(effects[at]) for at in unsized]
+    effects = tuple(
+        msgspec.structs.replace(each, confirmed=None) if at in unsized else each for at, each in enumerate(effects)
+    )
     seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
     walks = [
         each
@@ -134,7 +140,7 @@ def conclude(
         or (each.of_biases and not each.confirmed)
     ]
     is_excess = declared is not None and excess.is_excess
-    doubtful = (*walks, *(each for each in hidden if each not in walks))
+    doubtful = (*walks, *(each for each in (*hidden, *(effects[at] for at in unsized)) if each not in walks))
     verdict = verdict_of(
         [each for each in effects if each not in doubtful],
         (*seen_once, *doubtful),
@@ -183,7 +189,7 @@ def conclude(
             *box.declared_alone,
             unit_of_measure=declared_model.unit_of_measure,
             units=declared_model.units,
-            noise=msgspec.structs.asdict(noise),
+            noise=noise.parameters(),
         ),
     )
 

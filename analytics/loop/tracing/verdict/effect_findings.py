@@ -250,5 +250,5 @@ def fitted_model(
         for term in model.terms
         for _ in term.labels()
     ]
-    parameters = msgspec.structs.asdict(noise)
+    parameters = noise.parameters()
     return model.fitted(coefficients, covariance, unit_of_measure=unit, units=units, noise=parameters)

@@ -19,7 +19,7 @@ from analytics.loop.tracing.verdict.effect_findings import unfitted
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import fit
 from analytics.loop.tracing.whitening.noise_variance import correlated_variance
-from analytics.loop.tracing.whitening.stack import UnitRecord, as_array
+from analytics.loop.tracing.whitening.stack import UnitRecord, as_array, from_array
 from analytics.loop.tracing.whitening.whitened_fit import evaluate
 from analytics.methods.distributions import chi_square_cdf, chi_square_isf, chi_square_sf, normal_sf
 from stream.batch import FloatArray
@@ -184,6 +184,8 @@ class NoiseExcess:
 
     `slow_p_value` is that of the slow noise, whose ratio is `slow_ratio`, and `other_slow_p_value` that without the
     replicate that contributes most; `white_p_value` that of a white noise of `WHITE_EXCESS` times the declared one.
+    `most_slow_ratio` is to what the unit's own Allan fits allow, where these give the declared noise: a random walk
+    that no run of an hour shows may be three times the declared one.
     """
 
     ratio: float
@@ -192,11 +194,12 @@ class NoiseExcess:
     slow_p_value: float
     other_slow_p_value: float
     white_p_value: float
+    most_slow_ratio: float
 
     @property
     def is_slow_excess(self) -> bool:
-        """Whether there is more slow noise than declared."""
-        return self.slow_p_value < NOISE_P_VALUE and self.slow_ratio > NOISE_RATIO
+        """Whether there is more slow noise than declared, or than the Allan fits that give it allow."""
+        return self.slow_p_value < NOISE_P_VALUE and self.slow_ratio > NOISE_RATIO and self.most_slow_ratio > 1.0
 
     @property
     def is_excess(self) -> bool:
@@ -214,8 +217,11 @@ class NoiseExcess:
         return self.is_white_excess or (self.is_slow_excess and self.other_slow_p_value < NOISE_P_VALUE)
 
 
-def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
-    """Compare the noise of the first record, as fitted and measured, with the centre of its prior."""
+def noise_excess(record: UnitRecord, joint: JointFit, most: tuple[float, float, float] | None = None) -> NoiseExcess:
+    """Compare the noise of the first record, as fitted and measured, with the centre of its prior.
+
+    `most` is that which the unit's own Allan fits allow, see `ModelNoise`.
+    """
     fitted, declared = joint.noises[0], record.prior.center
     columns = joint.hypothesis.designs[0]
     as_fitted, as_declared = evaluate(record, columns, fitted), evaluate(record, columns, declared)
@@ -226,6 +232,7 @@ def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
         [_variance_ratio(record, each, declared, s) for s in NOISE_AVERAGES_S]
         for each in (fitted, measured_noise(record, fitted))
     )
+    allowed = from_array(np.maximum(as_array(declared), [*(most or (0.0, 0.0, 0.0)), 0.0]))
     # median of squares: efficiency 0.37; neighbouring differences correlate by half: 2 * 1.5 / 0.37
     deviation = math.sqrt(_LOG_VARIANCE_OF_PAIR / max(1, int(np.count_nonzero(record.steps > 0))))
     beyond = math.log(float(np.median(record.white))) - 2 * math.log(WHITE_EXCESS)
@@ -236,6 +243,7 @@ def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
         slow_p_value=float(chi_square_sf(max(0.0, 2 * gain), degrees)),
         other_slow_p_value=float(chi_square_sf(max(0.0, 2 * (gain - float(gains.max()))), degrees)),
         white_p_value=float(normal_sf(beyond / deviation)),
+        most_slow_ratio=max(_variance_ratio(record, fitted, allowed, s) for s in NOISE_AVERAGES_S),
     )
 
 
