@@ -10,6 +10,7 @@ import msgspec
 import pyarrow as pa
 
 from storage.lake import tables
+from storage.lake.buffered_rows import buffered_rows, together
 from storage.lake.clock_stretches import clock_table
 from storage.lake.drops import Drops
 from storage.lake.rollups import Rollup, rollup_tables
@@ -21,6 +22,8 @@ from stream.batch import IntArray
 from stream.decoding import decode_json
 from stream.errors import OutOfMemory, StoreError
 from stream.events import StoreNoted
+
+_ROLLED_TOGETHER = 262_144  # buckets of a second, of whole channels
 
 
 class BuiltPart(NamedTuple):
@@ -106,29 +109,36 @@ def documented_drops(folder: Path, store: str) -> Drops:
 
 
 def _write_tables(folder: Path, content: SegmentContent) -> tuple[dict[str, PartFile], list[dict[str, Any]]]:
-    seconds: list[tuple[int, Rollup]] = []
-    clocks: list[tuple[int, tuple[IntArray, ...]]] = []
+    seconds: list[tuple[IntArray, Rollup]] = []
+    clocks: list[tuple[IntArray, tuple[IntArray, ...]]] = []
     rows: list[dict[str, Any]] = []
     with tables.part_writers(folder) as writer:
-        samples = writer("samples")
+        samples, rollup_1s, rollup_10s = writer("samples"), writer("rollup_1s"), writer("rollup_10s")
+
+        def write_rollups() -> None:
+            of_1s, of_10s = rollup_tables(seconds)
+            rollup_1s.write(of_1s)
+            rollup_10s.write(of_10s)
+            seconds.clear()
+
         # each is freed once written: a segment can be too large to be in memory twice
         channels = sorted(content.channels.values(), key=lambda each: each.identity, reverse=True)
         content.channels.clear()
-        while channels:
-            channel = channels.pop()
-            second, clock = channel.seconds_and_clock(samples.write)
-            rows.append(channel.row())
-            seconds.append((channel.identity, second))
-            clocks.append((channel.identity, clock))
-        rollup_1s, rollup_10s = rollup_tables(seconds)
+        for group in together(channels.pop() for _ in range(len(channels))):
+            found = buffered_rows(group, samples.write)
+            rows += [channel.row() for channel in group]
+            seconds.append(found.seconds)
+            clocks.append(found.clocks)
+            if sum(len(numbers) for numbers, _ in seconds) >= _ROLLED_TOGETHER:
+                write_rollups()
+        write_rollups()
         joined = {
             "channels": pa.Table.from_pylist(rows, schema=tables.CHANNEL_COLUMNS),
             "events": pa.Table.from_pylist(content.event_rows(), schema=tables.EVENT_COLUMNS),
             "estimates": pa.Table.from_pylist(content.estimates, schema=tables.ESTIMATE_COLUMNS),
-            "rollup_1s": rollup_1s,
-            "rollup_10s": rollup_10s,
             "clocks": clock_table(clocks),
         }
-        files = {tables.SAMPLES_FILE: samples.finish()}
-        files |= {f"{name}.parquet": writer(name).write_all([table]) for name, table in joined.items()}
-    return files, rows
+        files = {"samples": samples.finish()}
+        files |= {name: writer(name).write_all([table]) for name, table in joined.items()}
+        files |= {"rollup_1s": rollup_1s.finish(), "rollup_10s": rollup_10s.finish()}
+    return {f"{name}.parquet": files[name] for name in tables.TABLES}, rows

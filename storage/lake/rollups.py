@@ -1,7 +1,8 @@
 """Rollups: count, mean, M2, minimum and maximum of each second and each ten seconds of the source's clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from stream.compiled import compiled, kernel_part
 
 _SECOND_NS = 1_000_000_000
 _LARGE_SUM = 1e150  # from which a sum may overflow, and the rounding error of a mean has squares that do
-Buckets = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Buckets = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray]
+_FROM_FIRST = np.zeros(1, np.int64)
 
 
 class Rollup(NamedTuple):
@@ -35,10 +37,38 @@ def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, o
     >>> rollup.bucket.tolist(), rollup.n.tolist(), rollup.mean.tolist(), rollup.m2.tolist()
     ([0, 1], [2, 2], [1.0, 3.5], [0.5, 2.0])
     """
-    bucket, n, mean, m2, lo, hi = _buckets(t_ns, data)
+    return roll_up_channels(t_ns, data, _FROM_FIRST, np.array([scale]), np.array([offset]))[1]
+
+
+def roll_up_channels(
+    t_ns: IntArray, data: CountArray | FloatArray, begins: IntArray, scales: FloatArray, offsets: FloatArray
+) -> tuple[IntArray, Rollup]:
+    """Buckets of the samples of several channels, one after another; `begins` is where each begins.
+
+    Returns the place of its channel for each bucket, and the buckets: those of `roll_up` of each channel.
+
+    >>> of, rollup = roll_up_channels(np.zeros(3, np.int64), np.array([1.0, 3.0, 5.0]), np.array([0, 2]),
+    ...                               np.array([1.0, 2.0]), np.zeros(2))
+    >>> of.tolist(), rollup.mean.tolist()
+    ([0, 1], [2.0, 10.0])
+    """
+    bucket, n, mean, m2, lo, hi, of = _buckets(t_ns, data, begins)
+    scale, offset = (float(scales[0]), float(offsets[0])) if len(begins) == 1 else (scales[of], offsets[of])
     lo, hi = lo * scale + offset, hi * scale + offset
     rollup = Rollup(bucket, n, mean * scale + offset, m2 * (scale * scale), np.minimum(lo, hi), np.maximum(lo, hi))
-    return rollup if np.all(np.diff(bucket) > 0) else merge(rollup)
+    is_next = bucket[1:] > bucket[:-1]
+    if len(begins) > 1:
+        is_next |= of[1:] != of[:-1]
+    if np.all(is_next):
+        return of, rollup
+    edges = np.searchsorted(of, np.arange(len(begins) + 1))
+    each = [merge(_part(rollup, begin, end)) for begin, end in pairwise(edges.tolist())]
+    whole = _each(lambda *columns: np.concatenate(columns), *each)
+    return np.repeat(np.arange(len(begins)), [len(own.bucket) for own in each]), whole
+
+
+def _part(rollup: Rollup, begin: int, end: int) -> Rollup:
+    return _each(lambda column: column[begin:end], rollup)
 
 
 def merge(rollup: Rollup, every: int = 1) -> Rollup:
@@ -86,20 +116,26 @@ def joined(rollups: list[Rollup]) -> Rollup:
     return merge(_each(lambda *columns: np.concatenate(columns), *rollups))
 
 
-def rollup_tables(channels: Sequence[tuple[int, Rollup]]) -> tuple[pa.Table, pa.Table]:
+def rollup_tables(channels: Iterable[tuple[int | IntArray, Rollup]]) -> tuple[pa.Table, pa.Table]:
     """Rows of the files of 1 s and of 10 s, from the buckets of a second of channels, each in the order of time.
 
-    All channels at once: a segment of many short signals takes four times as long one by one.
+    Of several channels in one rollup there is the number of each bucket. All channels at once: a segment of many short
+    signals takes four times as long one by one.
     """
     filled = [(number, rollup) for number, rollup in channels if len(rollup.bucket)]
     if not filled:
         return ROLLUP_COLUMNS.empty_table(), ROLLUP_COLUMNS.empty_table()
     numbers, rollups = zip(*filled, strict=True)
-    channel = np.repeat(np.array(numbers, np.int64), [len(each.bucket) for each in rollups])
+    channel = of_rows(numbers, [len(each.bucket) for each in rollups])
     seconds = _each(lambda *columns: np.concatenate(columns), *rollups)
     bucket = seconds.bucket // 10
     is_first = _begins(channel) | (np.diff(bucket, prepend=bucket[0]) != 0)
     return _table(channel, seconds), _table(channel[is_first], _merged(seconds, bucket, is_first))
+
+
+def of_rows(numbers: Sequence[int | IntArray], rows: Sequence[int]) -> IntArray:
+    """A column of channels, from the number of each stretch of rows or those of its rows."""
+    return np.concatenate([np.broadcast_to(number, n) for number, n in zip(numbers, rows, strict=True)])
 
 
 def _begins(channel: IntArray) -> BoolArray:
@@ -112,17 +148,19 @@ def _table(channel: IntArray, rollup: Rollup) -> pa.Table:
     return pa.Table.from_arrays([pa.array(column) for column in (channel, *rollup, edge)], schema=ROLLUP_COLUMNS)
 
 
-def _bucket_arrays(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
+def _bucket_arrays(t_ns: IntArray, data: CountArray | FloatArray, begins: IntArray) -> Buckets:
     """The buckets of `_buckets`, to the last bit: `bincount` adds in the order of the samples."""
     second = t_ns // _SECOND_NS
     is_finite = np.isfinite(data)
-    starts = np.flatnonzero(np.diff(second, prepend=second[:1] - 1) != 0)
+    is_start = np.diff(second, prepend=second[:1] - 1) != 0
+    is_start[begins[begins < len(second)]] = True
+    starts = np.flatnonzero(is_start)
     of = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(second)))[is_finite]
     x = data[is_finite].astype(np.float64)
     n = np.bincount(of, minlength=len(starts))
     rows = np.flatnonzero(n)
-    begins = np.cumsum(n[rows]) - n[rows]
-    lo, hi = np.minimum.reduceat(x, begins), np.maximum.reduceat(x, begins)
+    firsts = np.cumsum(n[rows]) - n[rows]
+    lo, hi = np.minimum.reduceat(x, firsts), np.maximum.reduceat(x, firsts)
     with np.errstate(all="ignore"):  # squares of more than 1e154 are infinite
         total = np.bincount(of, x, len(starts))
         middle = total / n
@@ -131,7 +169,8 @@ def _bucket_arrays(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
             shares = np.bincount(of, x / n[of], len(starts))[rows]
             middle[rows] = np.where(is_large, np.where(lo < hi, shares, lo), middle[rows])
         squares = np.bincount(of, (x - middle[of]) ** 2, len(starts))
-    return second[starts[rows]], n[rows], middle[rows], squares[rows].astype(np.float64), lo, hi
+    channel = np.searchsorted(begins, starts[rows], side="right") - 1
+    return second[starts[rows]], n[rows], middle[rows], squares[rows].astype(np.float64), lo, hi, channel
 
 
 @kernel_part()
@@ -146,25 +185,31 @@ def _mean_of_shares(data: CountArray | FloatArray, first: int, end: int, n: int)
 
 
 @partial(compiled, instead=_bucket_arrays)
-def _buckets(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
-    """Buckets of consecutive samples within one second; M2 takes a second pass, sums of integers are exact."""
-    runs = 0
+def _buckets(t_ns: IntArray, data: CountArray | FloatArray, begins: IntArray) -> Buckets:
+    """Buckets of consecutive samples of one channel within one second, and the place of each one's channel.
+
+    M2 takes a second pass, sums of integers are exact. Channels begin at `begins`, the first of them 0.
+    """
+    runs = len(begins)
     begin_ns = np.int64(0)
-    for t in t_ns:
-        if runs == 0 or t < begin_ns or t - begin_ns >= _SECOND_NS:
+    for at, t in enumerate(t_ns):
+        if at == 0 or t < begin_ns or t - begin_ns >= _SECOND_NS:
             begin_ns = t // _SECOND_NS * _SECOND_NS
             runs += 1
-    bucket, count = np.empty(runs, np.int64), np.empty(runs, np.int64)
+    bucket, count, channel = np.empty(runs, np.int64), np.empty(runs, np.int64), np.empty(runs, np.int64)
     mean, m2 = np.empty(runs), np.empty(runs)
     lo, hi = np.empty(runs), np.empty(runs)
-    row = i = 0
+    row = i = of = 0
     while i < len(t_ns):
+        while of + 1 < len(begins) and i >= begins[of + 1]:
+            of += 1
+        end = begins[of + 1] if of + 1 < len(begins) else len(t_ns)
         second = t_ns[i] // _SECOND_NS
         begin_ns = second * _SECOND_NS
         start, n, total = i, 0, 0.0
         least, most = np.inf, -np.inf
         # the first sample always belongs, so that the loop ends; the last second of 64 bits would overflow
-        while i < len(t_ns) and (i == start or (t_ns[i] >= begin_ns and t_ns[i] - begin_ns < _SECOND_NS)):
+        while i < end and (i == start or (t_ns[i] >= begin_ns and t_ns[i] - begin_ns < _SECOND_NS)):
             x = float(data[i])
             if x - x == 0.0:
                 n += 1
@@ -181,6 +226,7 @@ def _buckets(t_ns: IntArray, data: CountArray | FloatArray) -> Buckets:
             x = float(data[j])
             if x - x == 0.0:
                 squares += (x - middle) ** 2
-        bucket[row], count[row], mean[row], m2[row], lo[row], hi[row] = second, n, middle, squares, least, most
+        bucket[row], count[row], channel[row] = second, n, of
+        mean[row], m2[row], lo[row], hi[row] = middle, squares, least, most
         row += 1
-    return bucket[:row], count[:row], mean[:row], m2[:row], lo[:row], hi[:row]
+    return bucket[:row], count[:row], mean[:row], m2[:row], lo[:row], hi[:row], channel[:row]

@@ -20,7 +20,7 @@ _DIGEST_DIGITS = 16  # enough against accidents
 # who asks for one channel reads its row groups whole, as do a hundred channels' rollups of some minutes
 _ROLLUP_ROWS = 16_384
 # a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
-_SMALL_ROWS, _SHARED_ROWS = 4096, 65_536
+SMALL_ROWS, SHARED_ROWS = 4096, 65_536
 
 
 def _schema(*groups: tuple[pa.DataType, str]) -> pa.Schema:
@@ -86,7 +86,7 @@ _INTEGERS = (
     *("seq", "t_ns", "base", "bucket", "n", "seq_first", "messages", "t_first_ns", "t_last_ns"),
     *("arrival_first_ns", "arrival_last_ns", "t_least_ns", "delay_least_ns"),
 )
-_FLOATS = ("value", "mean", "m2")
+_FLOATS = ("value", "mean", "m2", "lo", "hi")
 _SPLIT_TABLES = {"samples", "rollup_1s", "rollup_10s", "clocks"}
 # Never null: written in two thirds of the time, since no definition levels are.
 _REQUIRED = {"samples": ("channel", "seq", "t_ns")}
@@ -175,13 +175,13 @@ class TableWriter:
     def write(self, table: pa.Table) -> None:
         """Add rows, as row groups of their own; small tables share row groups."""
         self.rows += table.num_rows
-        if table.num_rows >= _SMALL_ROWS:
+        if table.num_rows >= SMALL_ROWS:
             self._write_small()
             self._write(table)
             return
         self._small.append(table)
         self._small_rows += table.num_rows
-        if self._small_rows >= _SHARED_ROWS:
+        if self._small_rows >= SHARED_ROWS:
             self._write_small()
 
     def write_all(self, tables: Iterable[pa.Table]) -> PartFile:

@@ -176,9 +176,11 @@ class LiveTables:
         self._has_samples = True
 
     def _put_rollups(self, cursor: duckdb.DuckDBPyConnection) -> None:
-        found = [(channel.identity, *channel.seconds_and_clock()) for channel in _channels(self._contents or [])]
-        rollups = rollup_tables([(channel, seconds) for channel, seconds, _ in found])
-        clocks = clock_table([(channel, clock) for channel, _, clock in found])
+        from storage.lake.buffered_rows import buffered_rows, together
+
+        groups = (each for content in self._contents or [] for each in together(content.channels.values()))
+        found = list(map(buffered_rows, groups))
+        rollups, clocks = rollup_tables(each.seconds for each in found), clock_table([each.clocks for each in found])
         for name, table in zip(_ROLLED, (*rollups, clocks), strict=True):
             _put(cursor, f"live_{name}", table)
         self._has_rollups = True

@@ -15,6 +15,7 @@ import pyarrow as pa
 from analytics.step_records import step_table
 from analytics.step_records.reduction import COLUMNS
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
+from storage.lake.buffered_rows import buffered_rows
 from storage.lake.builder import builder_lock
 from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.drops import Drops
@@ -216,7 +217,7 @@ def put_part(
         samples = writer("samples")
         rollups = [rollup_tables(())]
         for channel in sorted(gathered, key=lambda each: each.identity):
-            rollups.append(rollup_tables([(channel.identity, channel.seconds_and_clock(samples.write)[0])]))
+            rollups.append(rollup_tables([buffered_rows([channel], samples.write).seconds]))
             rows.append(channel.row())
         files["samples.parquet"] = samples.finish()
         for table_name, tables in (

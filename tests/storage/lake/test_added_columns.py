@@ -19,7 +19,7 @@ tables.CHANNEL_COLUMNS = tables.TABLES["channels"] = tables.CHANNEL_COLUMNS.appe
 tables.COLUMNS_VERSION = 2
 from storage.lake import channel_buffer
 row = channel_buffer.ChannelBuffer.row
-channel_buffer.ChannelBuffer.row = lambda self: row(self) | {"messages": len(self._matrix().seq)}
+channel_buffer.ChannelBuffer.row = lambda self: row(self) | {"messages": len(self.messages.seq)}
 from storage.check.verify import verify
 from storage.lake.builder import build_missing, builder_lock
 from storage.lake.rebuild import rebuild

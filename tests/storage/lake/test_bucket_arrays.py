@@ -37,8 +37,9 @@ def test_buckets_by_arrays_are_those_of_compiled_code(data: CountArray | FloatAr
     n = len(data)
     steps = draw.draw(st.lists(st.integers(-(10**9), 2 * 10**9), min_size=n, max_size=n))
     t_ns: IntArray = np.cumsum(np.array(steps, np.int64))
+    begins = np.array(sorted({0, *draw.draw(st.lists(st.integers(0, n - 1), max_size=3))}))
     with np.errstate(all="ignore"):
-        compiled, arrays = rollups._buckets(t_ns, data), rollups._bucket_arrays(t_ns, data)
+        compiled, arrays = rollups._buckets(t_ns, data, begins), rollups._bucket_arrays(t_ns, data, begins)
     for one, other in zip(compiled, arrays, strict=True):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other, equal_nan=True)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from storage.lake.buffered_rows import counts_columns
 from storage.lake.builder import builder_lock
-from storage.lake.channel_buffer import counts_columns
 from storage.lake.rollups import joined, roll_up
 from storage.manifests.lake import read_manifest
 from storage.sql.catalog import Catalog

@@ -1,6 +1,7 @@
 """Rollups of many channels made at once are those of each channel alone; those of very large values."""
 
 from collections.abc import Callable
+from random import Random
 
 import numpy as np
 import pyarrow as pa
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from storage.lake.rollups import Rollup, _bucket_arrays, merge, roll_up, rollup_tables
+from storage.lake.rollups import Rollup, _bucket_arrays, merge, roll_up, roll_up_channels, rollup_tables
 from storage.lake.tables import ROLLUP_COLUMNS
+from stream.batch import FloatArray, IntArray
 
 _SECOND_NS = 1_000_000_000
 _channels = st.lists(st.lists(st.integers(-(10**9), 4 * 10**10), max_size=30), max_size=6)
@@ -43,8 +45,32 @@ def test_channels_together_are_as_each_alone(steps: list[list[int]]) -> None:
     assert pa.concat_tables([rollup_tables([each])[1] for each in channels] or [tens]).equals(tens)
 
 
+@given(_channels, st.randoms(use_true_random=False))
+@settings(deadline=None)
+def test_samples_of_channels_together_are_rolled_up_as_those_of_each(steps: list[list[int]], draw: Random) -> None:
+    """Also where a channel goes back in time, and where a channel begins in the second in which another ends."""
+    times_ns = [np.cumsum(np.array(each, np.int64)) for each in steps if each]
+    data = [np.random.default_rng(len(each)).normal(0, 50, len(each)) for each in times_ns]
+    scales, offsets = (np.array([draw.choice([1.0, -0.5, 3.0]) for _ in data]) for _ in range(2))
+    if not data:
+        return
+    sizes = np.array([len(each) for each in data])
+    of, together = roll_up_channels(
+        np.concatenate(times_ns), np.concatenate(data), np.cumsum(sizes) - sizes, scales, offsets
+    )
+    each = [roll_up(*samples) for samples in zip(times_ns, data, scales, offsets, strict=True)]
+    assert of.tolist() == [number for number, own in enumerate(each) for _ in own.bucket]
+    for name in Rollup._fields:
+        assert np.array_equal(getattr(together, name), np.concatenate([getattr(own, name) for own in each]))
+
+
+def by_arrays(t_ns: IntArray, data: FloatArray) -> Rollup:
+    bucket, n, mean, m2, lo, hi, _ = _bucket_arrays(t_ns, data, np.zeros(1, np.int64))
+    return Rollup(bucket, n, mean, m2, lo, hi)
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("make", [roll_up, lambda *samples: Rollup(*_bucket_arrays(*samples))])
+@pytest.mark.parametrize("make", [roll_up, by_arrays])
 def test_means_of_values_whose_sum_overflows_are_right(make: Callable[..., Rollup]) -> None:
     """Deviations of more than 1e154 are infinite, as their squares are no numbers; nothing is NaN."""
     t_ns = np.arange(2000) * 10_000_000
