@@ -195,9 +195,6 @@ class EstimationWorker(Closing):
                 if time.monotonic() >= min(self._next_save, self._read_at):
                     break
             taken, self._incoming = self._incoming, deque()
-        if taken and not self._estimation.left_out:
-            self._read_wait_s = _READ_AGAIN_S
-            self._read_at = time.monotonic() + _READ_AGAIN_S
         messages = list(taken)
         for begin in range(0, len(messages), _MESSAGES_AT_ONCE):
             if self._killed:
@@ -207,6 +204,9 @@ class EstimationWorker(Closing):
             self._estimation.take_all([(key, payload) for key, payload, _ in part])
             if time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
+        if taken and not self._estimation.left_out:  # once it is processed, which may take longer than the wait
+            self._read_wait_s = _READ_AGAIN_S
+            self._read_at = time.monotonic() + _READ_AGAIN_S
         with self._state:
             self._incoming_bytes -= sum(queued_bytes(key, payload) for key, payload, _ in taken)
             self._taken_at = None
