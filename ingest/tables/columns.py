@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 
+from ingest.tables.rows import Room
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
 from ingest.tables.units import column_unit, is_temperature, time_unit
@@ -52,6 +53,7 @@ class TableOptions:
     words: StepWords | None = None  # step words of all rows, if no column has them
     renames: tuple[tuple[str, str], ...] = ()  # a column's title or name, and another: ``gyro_x``, ``gyro_x[deg/s]``
     time_zone: str | None = None  # of time stamps that name none
+    room: Room = field(default_factory=Room, compare=False)  # for small files between the two passes over them
 
     def __post_init__(self) -> None:
         if self.sample_rate_hz is not None and not 1e-9 <= self.sample_rate_hz <= 1e9:

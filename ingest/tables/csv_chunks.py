@@ -11,7 +11,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, without_blanks
+from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, usual_lines, without_blanks
 from ingest.tables.encodings import how_to_convert, utf16_of
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
@@ -27,7 +27,7 @@ _PARTS = 8
 _SPARE_DIGITS = 15
 _ARROW_BLOCK_BYTES = 1 << 20
 _BOM = b"\xef\xbb\xbf"
-_BEGIN_BYTES = 4096
+_BEGIN_BYTES, _ENCODING_BYTES = 256 << 10, 4096
 _SAMPLE_LINES = 1000
 
 
@@ -139,29 +139,16 @@ class CsvTable:
                 )
 
     def _find_dialect(self) -> Dialect:
-        lines: list[tuple[str, int]] = []
-        rows = end = 0
         with self._path.open("rb") as file:
-            if (encoding := utf16_of(file.read(_BEGIN_BYTES))) is not None:
+            begin = file.read(_BEGIN_BYTES)
+            if (encoding := utf16_of(begin[:_ENCODING_BYTES])) is not None:
                 raise BadInput(f"{self._path}: {encoding} text; {how_to_convert(self._path, encoding)}")
-            file.seek(0)
-            while rows <= _SAMPLE_LINES and (raw := file.readline(LONGEST_LINE_BYTES)):
-                end += len(raw)
-                if not lines:
-                    raw = raw.removeprefix(_BOM)
-                if rows and len(raw) == LONGEST_LINE_BYTES:
-                    break  # found with its line when the rows are read
-                try:
-                    text = self._as_utf8(raw, len(lines) + 1).decode().rstrip("\r\n")
-                except BadInput:
-                    if rows:
-                        break  # likewise
-                    raise
-                rows += not text.startswith("#") and bool(text.strip())
-                if rows == 1 and "\r" in text:
-                    raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
-                lines.append((text, end))
+            lines = usual_lines(begin, _SAMPLE_LINES + 1, is_whole=len(begin) == self._size)
+            file.seek(lines[-1][1] if lines else 0)
+            if not lines:
+                lines = self._lines_one_by_one(file)
             has_more = bool(file.read(1))
+        rows = any(text.strip() and not text.startswith("#") for text, _ in lines)
         if not rows:
             raise BadInput(f"{self._path}: the file is empty; expected a header like 'time[s],rate[deg/s]'")
         try:
@@ -172,6 +159,28 @@ class CsvTable:
         if not dialect.has_rows and not has_more:
             raise BadInput(f"{self._path}: a header and no rows; nothing to import")
         return dialect
+
+    def _lines_one_by_one(self, file: BinaryIO) -> list[tuple[str, int]]:
+        """The first lines, each with the place in the file behind it."""
+        lines: list[tuple[str, int]] = []
+        rows = end = 0
+        while rows <= _SAMPLE_LINES and (raw := file.readline(LONGEST_LINE_BYTES)):
+            end += len(raw)
+            if not lines:
+                raw = raw.removeprefix(_BOM)
+            if rows and len(raw) == LONGEST_LINE_BYTES:
+                break  # found with its line when the rows are read
+            try:
+                text = self._as_utf8(raw, len(lines) + 1).decode().rstrip("\r\n")
+            except BadInput:
+                if rows:
+                    break  # likewise
+                raise
+            rows += not text.startswith("#") and bool(text.strip())
+            if rows == 1 and "\r" in text:
+                raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
+            lines.append((text, end))
+        return lines
 
     def _as_utf8(self, block: bytes, line: int) -> bytes:
         """Lines as UTF-8: those of a file in the encoding of Chinese programs are written anew."""

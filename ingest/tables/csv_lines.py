@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -144,7 +145,7 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
         if title_line and not _is_row(title_line):
             header, rows_at, is_header_comment = title_line, header_at, True
             comments.pop()
-    rows = tuple(text for text, _ in lines[rows_at:] if text.strip() and not text.startswith("#"))
+    rows = tuple(lines[i][0] for i in written if i >= rows_at)
     delimiter = named[1] if named else max(_DELIMITERS, key=header.count)
     titles = tuple(title.strip() for title in split_line(header, delimiter))
     if not any(mark in header for mark in _DELIMITERS) and rows and len(rows[0].split()) > 1:
@@ -161,6 +162,31 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
         comments=len(comments), is_header_comment=is_header_comment, sample=rows,
         preamble=preamble, has_unit_line=units_at is not None,
     )  # fmt: skip
+
+
+def usual_lines(begin: bytes, rows: int, *, is_whole: bool) -> list[tuple[str, int]]:
+    r"""The first lines of a file up to so many rows, each with the place behind it, if all of them are in ASCII.
+
+    Nothing, for lines that are to be read one by one, if they are not, if a carriage return ends no line, or if the
+    beginning of the file, unless it is the whole, has fewer rows.
+
+    >>> usual_lines(b"# bench 3\r\nt,rate\r\n0,1.5", 9, is_whole=True)
+    [('# bench 3', 11), ('t,rate', 19), ('0,1.5', 24)]
+    >>> usual_lines(b"t,rate\n0,1.5\n0.1", 9, is_whole=False)
+    []
+    """
+    if not begin.isascii() or begin.count(b"\r") != begin.count(b"\r\n"):
+        return []
+    texts = begin.decode().split("\n")
+    if not is_whole or not texts[-1]:
+        texts.pop()
+    ends = [min(end, len(begin)) for end in accumulate(len(text) + 1 for text in texts)]
+    texts = [text.rstrip("\r") for text in texts]
+    found = [i for i, text in enumerate(texts) if text.strip() and not text.startswith("#")]
+    if len(found) < rows and not is_whole:
+        return []
+    most = found[rows - 1] + 1 if len(found) >= rows else len(texts)
+    return list(zip(texts[:most], ends[:most], strict=True))
 
 
 def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tuple[int, int | None]:

@@ -1,7 +1,7 @@
 """Tables of samples: CSV and Parquet files that keep the import contract, in two passes.
 
 The first pass checks every row and finds the sampling of each signal; the second delivers batches and steps. Neither
-holds more than a few blocks of the file.
+holds more than a few blocks of the file; the one block of a small file is kept for the second, while there is room.
 """
 
 from collections import Counter
@@ -15,10 +15,10 @@ from ingest.tables.batches import Batcher, SignalHead, by_time, splits_at_gaps, 
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.grid import SamplingGrid
 from ingest.tables.parquet_chunks import ParquetTable
-from ingest.tables.rows import BadRows, NumberCells
+from ingest.tables.rows import BadRows, CellBlock, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
+from ingest.tables.signal_grids import SignalGrids
 from ingest.tables.steps import StepTracker
 from ingest.tables.time_remarks import (
     coarse_times_remark,
@@ -70,6 +70,7 @@ class TableFile:
         self._reader.bind(self._columns, options.time_zone or "UTC")
         self._stamp = FileStamp(path)
         self._summary: TableSummary | None = None
+        self._kept: CellBlock | None = None  # all rows of a small file, once they are checked
         self._new_filter()  # the names that the options give are checked before anything is read
 
     def check(self, progress: Progress | None = None) -> TableSummary:
@@ -78,7 +79,7 @@ class TableFile:
         Raises BadRows, with the bad rows, unless `skip_bad` is set; BadInput if the file as a whole cannot be used.
         """
         rows = self._new_filter()
-        grids: dict[tuple[Owner, str], SamplingGrid] = {}
+        grids = SignalGrids()
         may_be_counts = {
             signal.name: signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
             for signal in self._columns.signals
@@ -90,16 +91,15 @@ class TableFile:
         steps = 0
         procedures: set[str | None] = set()
         for good in self._good_rows(rows, progress):
-            for name, cells in good.signals.items():
-                times_ns, values = _samples(good.times_ns, cells)
-                if len(times_ns):
-                    grids.setdefault((good.owner, name), SamplingGrid()).add(times_ns)
-                    if name in whole and not _are_int32(values):
-                        may_be_counts[name] = False
-                        rounded[name] += int(np.count_nonzero(np.abs(values) >= _EXACT))
-                        broken = values[values != np.rint(values)]
-                        if len(broken):
-                            in_thousandths[name] = in_thousandths.get(name, True) and _are_thousandths(broken)
+            grids.add(good)
+            for name in filter(whole.__contains__, good.signals):
+                _, values = _samples(good.times_ns, good.signals[name])
+                if len(values) and not _are_int32(values):
+                    may_be_counts[name] = False
+                    rounded[name] += int(np.count_nonzero(np.abs(values) >= _EXACT))
+                    broken = values[values != np.rint(values)]
+                    if len(broken):
+                        in_thousandths[name] = in_thousandths.get(name, True) and _are_thousandths(broken)
             for begin, end, words in good.stretches:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
@@ -109,12 +109,13 @@ class TableFile:
         if rows.bad_rows and not self._options.skip_bad:
             repeated = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
             raise BadRows(self._path, tuple(rows.bad), rows.bad_rows, repeated)
-        if not grids:
+        found = grids.finish()
+        if not found:
             raise BadInput(f"{self._path}: {rows.rows} rows, {rows.bad_rows} of them bad, and not one sample")
         units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
         signals = tuple(
-            SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
-            for (owner, name), grid in grids.items()
+            SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], sampling)
+            for (owner, name), sampling in found.items()
         )
         is_known = any("separates thousands" in each for each in self._reader.remarks)
         remarks = (
@@ -194,17 +195,24 @@ class TableFile:
                     if len(times_ns):
                         pushed.append(mine[name].push(times_ns, data.astype(np.int32) if counts[name] else data))
                 yield from by_time(pushed)
+        if self._kept is not None:
+            self._options.room.give(self._kept.bytes)
+            self._kept = None
         for owner, mine in batchers.items():
             yield from _flushed(mine)
             yield from filter(None, [tracker.close(*owner)])
 
     def _good_rows(self, rows: RowFilter, progress: Progress | None) -> Iterator[GoodRows]:
         self._stamp.check()
-        for block in self._reader.blocks():
+        blocks, block = 0, None
+        for block in self._reader.blocks() if self._kept is None else [self._kept]:
+            blocks += 1
             yield from rows.good(block)
             if progress is not None:
                 progress(block.done)
         self._stamp.check()
+        if self._kept is None and block is not None and blocks == 1 and not rows.bad_rows:
+            self._kept = block if self._options.room.take(block.bytes) else None
 
     def _new_filter(self) -> RowFilter:
         return RowFilter(self._path, self._columns, self._options)

@@ -117,3 +117,32 @@ class CellBlock:
     texts: dict[str, TextCells]  # by title of the column: unit, run and the step words
     sieve: Sieve  # rows that are bad already; their cells have no meaning
     done: float  # fraction of the file that is read, 0 to 1
+
+    @property
+    def bytes(self) -> int:
+        """Memory of its numbers."""
+        cells = [each for own in self.signals.values() for each in (own.values, own.valid)]
+        codes = [each.codes for each in self.texts.values()]
+        return sum(each.nbytes for each in (self.numbers, self.times_ns, *cells, *codes) if each is not None)
+
+
+class Room:
+    """Memory, bytes, for blocks of small files between the two passes; all files of a command share one.
+
+    >>> room = Room(100)
+    >>> room.take(60), room.take(60)
+    (True, False)
+    """
+
+    def __init__(self, most_bytes: int = 32 << 20) -> None:
+        self._left = most_bytes
+
+    def take(self, size: int) -> bool:
+        """Take so much if there is as much."""
+        has_room = size <= self._left
+        self._left -= size if has_room else 0
+        return has_room
+
+    def give(self, size: int) -> None:
+        """Give it back."""
+        self._left += size

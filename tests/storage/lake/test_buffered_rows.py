@@ -25,7 +25,8 @@ def buffer_of(identity: int, rng: np.random.Generator, samples: int) -> ChannelB
         times_ns = t0_ns + np.cumsum(rng.integers(-(10**7), 3 * dt_ns, n)) if has_times else None
         batch = SampleBatch(
             "U1", f"s{identity}", "r1", UUID(int=1), seq, t0_ns if times_ns is None else int(times_ns[0]), dt_ns, "V",
-            counts=data if is_counts else None, values=None if is_counts else data.astype(np.float64), times_ns=times_ns,
+            counts=data if is_counts else None, values=None if is_counts else data.astype(np.float64),
+            times_ns=times_ns,
             flags=rng.integers(0, 4, n).astype(np.uint8) if has_flags else None, irregular=has_times, scale=-0.5,
         )  # fmt: skip
         buffer = buffer or ChannelBuffer(identity, Place("local", "files"), batch)
