@@ -58,6 +58,22 @@ class _Comparison(msgspec.Struct, frozen=True, eq=False):
     correlation: FloatArray
 
 
+class _Scatter(msgspec.Struct, frozen=True, eq=False):
+    """Degrees of freedom for exponents (rows) and averaging times (columns).
+
+    `means` and `spreads` are mean and variance of the logarithm of a chi-square over its degrees of freedom.
+    """
+
+    degrees: FloatArray
+    means: FloatArray
+    spreads: FloatArray
+
+    def of(self, row: int) -> "_Scatter":
+        """That of one exponent."""
+        rows = slice(row, row + 1)
+        return _Scatter(self.degrees[rows], self.means[rows], self.spreads[rows])
+
+
 def identify(factors: IntArray, variances: FloatArray, windows: IntArray, strides: IntArray) -> tuple[Identified, ...]:
     """Plausible noise exponents at each averaging time of an Allan curve.
 
@@ -105,32 +121,33 @@ def identify(factors: IntArray, variances: FloatArray, windows: IntArray, stride
         raise EstimatorError("an Allan curve needs as many variances, windows and strides as ascending factors")
     if n == 0:
         return ()
-    degrees = _degrees(factors, windows, strides)
+    scatter = _scatter(tuple(factors.tolist()), tuple(windows.tolist()), tuple(strides.tolist()))
     logs = np.log(np.where(np.isfinite(variances) & (variances > 0.0), variances, np.nan))
     times = tuple(factors.tolist()), tuple(strides.tolist())
-    deviates = _deviates(_comparison(*times, NOISE_EXPONENTS, _SPAN), logs, degrees)
+    deviates = _deviates(_comparison(*times, NOISE_EXPONENTS, _SPAN), logs, scatter)
     quantisation, flicker, white = deviates[:3]
-    long = _deviates(_comparison(*times, NOISE_EXPONENTS[1:2], _LONG), logs, degrees[1:2])[0]
+    long = _deviates(_comparison(*times, NOISE_EXPONENTS[1:2], _LONG), logs, scatter.of(1))[0]
     flicker[:] = np.where(long < -np.abs(flicker), long, flicker)
-    near = _deviates(_comparison(*times, NOISE_EXPONENTS[2:3], _NEAR), logs, degrees[2:3])[0]
+    near = _deviates(_comparison(*times, NOISE_EXPONENTS[2:3], _NEAR), logs, scatter.of(2))[0]
     white[:] = np.where((quantisation > _EXCLUDED) & (np.abs(near) < np.abs(white)), near, white)
-    return tuple(_identified(deviates[:, i], degrees[:, i]) for i in range(n))
+    return _identified(deviates, scatter.degrees)
 
 
-def _degrees(factors: IntArray, windows: IntArray, strides: IntArray) -> FloatArray:
-    """Degrees of freedom of each exponent, shape (5, n)."""
-    counts = list(zip(factors.tolist(), windows.tolist(), strides.tolist(), strict=True))
+@lru_cache(maxsize=1024)
+def _scatter(factors: tuple[int, ...], windows: tuple[int, ...], strides: tuple[int, ...]) -> _Scatter:
+    """That of each exponent at each averaging time, not to be changed; signals of one length share it."""
+    counts = list(zip(factors, windows, strides, strict=True))
     degrees = np.array([[edf(alpha, 2, *count) for count in counts] for alpha in NOISE_EXPONENTS])
     if factors[0] == 1:
         degrees[1:, 0] = degrees[:-1, 0].copy()
-    return degrees
-
-
-def _deviates(expected: _Comparison, logs: FloatArray, degrees: FloatArray) -> FloatArray:
-    """Standardised distance of each log ratio from that expected for each exponent, positive where it is redder."""
-    rows = np.arange(len(degrees))[:, np.newaxis]
     means = scipy.special.digamma(degrees / 2.0) - np.log(degrees / 2.0)
-    spreads = scipy.special.polygamma(1, degrees / 2.0)
+    return _Scatter(degrees, means, scipy.special.zeta(2.0, degrees / 2.0))  # psi', the first polygamma
+
+
+def _deviates(expected: _Comparison, logs: FloatArray, scatter: _Scatter) -> FloatArray:
+    """Standardised distance of each log ratio from that expected for each exponent, positive where it is redder."""
+    rows = np.arange(len(scatter.degrees))[:, np.newaxis]
+    means, spreads = scatter.means, scatter.spreads
     a, b = spreads[rows, expected.early], spreads[rows, expected.late]
     deviation = np.sqrt(a + b - 2.0 * expected.correlation * np.sqrt(a * b))
     ratio = logs[expected.late] - logs[expected.early] - (means[rows, expected.late] - means[rows, expected.early])
@@ -139,29 +156,32 @@ def _deviates(expected: _Comparison, logs: FloatArray, degrees: FloatArray) -> F
     return deviates
 
 
-def _identified(deviates: FloatArray, degrees: FloatArray) -> Identified:
+def _identified(deviates: FloatArray, degrees: FloatArray) -> tuple[Identified, ...]:
     sizes = np.abs(deviates)
-    chosen = _chosen(deviates, sizes)
-    plausible = tuple(alpha for alpha, is_chosen in zip(NOISE_EXPONENTS, chosen.tolist(), strict=True) if is_chosen)
-    return Identified(
-        exponent=NOISE_EXPONENTS[int(np.argmin(np.where(chosen, sizes, np.inf)))],
-        plausible=plausible,
-        edf=float(degrees[chosen].min()),
+    chosen: BoolArray = sizes <= _UNLIKELY
+    for i in np.flatnonzero(~chosen.any(axis=0)).tolist():
+        _choose_nearest(chosen[:, i], deviates[:, i], sizes[:, i])
+    chosen = np.logical_or.accumulate(chosen) & np.logical_or.accumulate(chosen[::-1])[::-1]  # without holes
+    nearest = np.argmin(np.where(chosen, sizes, np.inf), axis=0).tolist()
+    least = np.where(chosen, degrees, np.inf).min(axis=0).tolist()
+    plausible = [
+        tuple(alpha for alpha, is_chosen in zip(NOISE_EXPONENTS, column, strict=True) if is_chosen)
+        for column in chosen.T.tolist()
+    ]
+    return tuple(
+        Identified(exponent=NOISE_EXPONENTS[at], plausible=alphas, edf=own)
+        for at, alphas, own in zip(nearest, plausible, least, strict=True)
     )
 
 
-def _chosen(deviates: FloatArray, sizes: FloatArray) -> BoolArray:
-    chosen: BoolArray = sizes <= _UNLIKELY
-    if not chosen.any():
-        chosen[int(np.argmin(sizes))] = True
-        is_excluded = sizes.min() > _EXCLUDED
-        is_redder = (deviates > 0.0).tolist()
-        for i, (before, after) in enumerate(pairwise(is_redder)):
-            if before and not after and is_excluded:
-                chosen[i : i + 2] = True
-    found = np.flatnonzero(chosen)
-    chosen[found[0] : found[-1] + 1] = True
-    return chosen
+def _choose_nearest(chosen: BoolArray, deviates: FloatArray, sizes: FloatArray) -> None:
+    """Choose where no exponent agrees: the closest, or those between which the curve runs where all are excluded."""
+    chosen[int(np.argmin(sizes))] = True
+    is_excluded = sizes.min() > _EXCLUDED
+    is_redder = (deviates > 0.0).tolist()
+    for i, (before, after) in enumerate(pairwise(is_redder)):
+        if before and not after and is_excluded:
+            chosen[i : i + 2] = True
 
 
 @lru_cache(maxsize=256)

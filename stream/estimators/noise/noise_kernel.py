@@ -288,6 +288,31 @@ def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: M
 
 
 @kernel
+def descend_with(
+    columns: FloatArray, degrees: FloatArray, theta: FloatArray, which: int, at: float, negligible: float
+) -> tuple[FloatArray, float]:
+    """As `descend` from theta with one coefficient fixed `at`.
+
+    Where no other term explains some point, its model falling below a `negligible` share, all others start there.
+    """
+    terms = columns.shape[1]
+    start, free = theta.copy(), np.ones(terms, np.bool_)
+    start[which], free[which] = at, False
+    least = math.inf
+    for i in range(columns.shape[0]):
+        before = after = 0.0
+        for k in range(terms):
+            before += columns[i, k] * theta[k]
+            after += columns[i, k] * start[k]
+        least = min(least, after / before)
+    if least < negligible:
+        for k in range(terms):
+            if free[k]:
+                start[k] = max(start[k], negligible)
+    return descend(columns, degrees, start, free)
+
+
+@kernel
 def least_deviances(columns: FloatArray, degrees: FloatArray, more: FloatArray) -> FloatArray:
     """Least deviance with one more column, for each column of `more`, shape (n, m); shape (m,)."""
     n, terms = columns.shape

@@ -5,7 +5,13 @@ import math
 import numpy as np
 
 from stream.batch import FloatArray
-from stream.estimators.noise.noise_kernel import descend, deviance, least_deviances, weighted_least_squares
+from stream.estimators.noise.noise_kernel import (
+    descend,
+    descend_with,
+    deviance,
+    least_deviances,
+    weighted_least_squares,
+)
 from stream.estimators.noise.root_between import root_between
 
 _ROOT_TOLERANCE = 1e-6
@@ -108,12 +114,7 @@ class CurveLikelihood:
 
     def minimum_at(self, theta: FloatArray, which: int, at: float) -> tuple[FloatArray, float]:
         """As `minimum`, with one coefficient fixed `at`; searched from theta, the deviance never more than there."""
-        start, free = theta.copy(), np.ones(len(theta), np.bool_)
-        start[which], free[which] = at, False
-        if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
-            # no other term explains some tau: the others need a positive start value
-            start[free] = np.maximum(start[free], _NEGLIGIBLE)
-        return descend(self.columns, self.degrees, start, free)
+        return descend_with(self.columns, self.degrees, theta, which, at, _NEGLIGIBLE)
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
         """Columns in units of the scatter of each variance expected by theta, m sqrt(2/edf)."""
