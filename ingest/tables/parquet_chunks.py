@@ -146,8 +146,9 @@ class ParquetTable:
             self._refuse(sieve, first, title, empty, array, "a time")
         if pa.types.is_null(kind):
             return np.zeros(len(array), np.int64)
-        zero = Decimal(0) if pa.types.is_decimal(kind) else 0
-        filled = _decoded(array).fill_null(pa.scalar(zero, kind))
+        filled = _decoded(array)
+        if array.null_count:  # without nulls it would import a module that takes a tenth of a second
+            filled = filled.fill_null(pa.scalar(Decimal(0) if pa.types.is_decimal(kind) else 0, kind))
         if pa.types.is_timestamp(kind):
             times_ns, wrong = ns_from_timestamps(filled, self._time_zone)
         elif pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
