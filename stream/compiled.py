@@ -1,5 +1,6 @@
 """Kernels compiled by numba when they are needed: importing numba takes longer than many commands run, and 90 MB."""
 
+import importlib
 import os
 import sys
 import threading
@@ -54,8 +55,7 @@ class Kernel:
     def made(self) -> Callable[..., Any]:
         """Numba's function, whose module has numba's functions in place of the kernels."""
         if self._made is None:
-            from numba import njit
-
+            njit = _numba().njit
             own = self._function
             assert isinstance(own, FunctionType)
             names = dict(own.__globals__)
@@ -64,6 +64,25 @@ class Kernel:
             )
             _put_made(names)
         return self._made
+
+
+def _numba() -> Any:
+    """Numba; whether there is a BLAS it asks by importing `scipy.linalg`, half as long as itself, which no kernel uses.
+
+    A kernel that does need it imports it when it is compiled.
+    """
+    import numba
+
+    if "numba.np.arraymath" not in sys.modules:
+        from numba.np import linalg
+
+        asked = linalg.ensure_blas
+        linalg.ensure_blas = lambda: None
+        try:
+            importlib.import_module("numba.np.arraymath")
+        finally:
+            linalg.ensure_blas = asked
+    return numba
 
 
 def _put_made(names: dict[str, Any]) -> None:
