@@ -2,13 +2,14 @@
 
 import inspect
 import sys
-from importlib.abc import MetaPathFinder
 
 # where pyarrow imports it, the innermost frame is that of who called pyarrow: its own frames are not seen
 _WITHOUT = frozenset({"stream", "storage", "ingest", "analytics", "pyarrow"})
 
 
-class _NoPandas(MetaPathFinder):
+class _NoPandas:
+    """A finder; the base class of finders takes longer to import than all of them."""
+
     def find_spec(self, fullname: str, *_: object) -> None:
         if fullname == "pandas" and _importer().partition(".")[0] in _WITHOUT:
             raise ModuleNotFoundError(name=fullname)

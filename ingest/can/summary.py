@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from ingest.can.frames import id_text, ids_text
 from ingest.tables.sample_file import TableSummary
 
-LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
 COUNTED = {
     "lost": "lost",
     "repeated": "repeated or late left out",

@@ -164,6 +164,8 @@ def import_files(
 
 def _warn_of_words(procedure: str | None, position: str | None) -> None:
     """Warn of a procedure or position that no characteristic uses: perhaps a typing error."""
+    if not procedure and not position:
+        return
     from ingest.procedures.file import near_name, ready_names
     from ingest.procedures.procedure import load_procedure
 
@@ -188,12 +190,16 @@ def _stated_place(site: str | None, station: str | None, location: dict[str, Any
     """Site and station, and the location that the runs record: of the station's file, overridden by options."""
     from msgspec.structs import replace
 
-    from ingest.station.station import StationLocation, load_station
     from stream.identity import Place, check_name
+
+    is_file = station is not None and Path(station).suffix.lower() == ".toml"
+    if not is_file and all(value is None for value in location.values()):
+        return Place(check_name("site", site or "local"), check_name("station", station or "files")), {}
+    from ingest.station.station import StationLocation, load_station
 
     given = StationLocation(**location)
     given.check(_LOCATION_OPTIONS.__getitem__)
-    if station is None or Path(station).suffix.lower() != ".toml":
+    if station is None or not is_file:
         return Place(check_name("site", site or "local"), check_name("station", station or "files")), given.details
     found = load_station(Path(station))
     if site is not None and site != found.place.site:
@@ -205,9 +211,9 @@ def _stated_place(site: str | None, station: str | None, location: dict[str, Any
 
 
 def _is_can_log(path: Path) -> bool:
-    from ingest.can.summary import LOG_SUFFIXES
+    from ingest.tables.sample_file import CAN_LOG_SUFFIXES
 
-    return path.suffix.lower() in LOG_SUFFIXES
+    return path.suffix.lower() in CAN_LOG_SUFFIXES
 
 
 def _can_mapping(

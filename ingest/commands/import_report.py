@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stream.terminal.console import DEFAULT_STORE, counted, notes, results
-from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.importing.file_sending import FileImport
@@ -37,6 +36,8 @@ def _report(imported: "FileImport", folder: Path) -> None:
         notes().print(f"{imported.file}: {remark}", soft_wrap=True)
     if len(imported.remarks) > _LISTED_REMARKS:
         notes().print(f"  ... and {len(imported.remarks) - _LISTED_REMARKS:,} more (--json lists all)")
+    from stream.terminal.result_table import ResultTable
+
     table = ResultTable(title=f"{imported.file}: {imported.rows:,} {imported.counted}")
     for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
         table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import msgspec
 
-from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.repeated_files import ImportedFile, note_of_import
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.importing.tested_units import tested_units
@@ -36,6 +35,9 @@ from stream.events import (
     UnitMounted,
 )
 from stream.identity import Place, event_key, sample_key
+
+if TYPE_CHECKING:
+    from ingest.can.summary import CanCounts
 
 _Name = tuple[str, str, str]
 
@@ -84,7 +86,7 @@ class FileImport:
     counted: str = "rows"
     damage: str = ""
     remarks: tuple[str, ...] = ()
-    frames: CanCounts | None = None
+    frames: "CanCounts | None" = None
 
     @property
     def added(self) -> int:
@@ -272,7 +274,7 @@ class FileSending:
             steps=summary.steps, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
             counted=summary.counted, damage=summary.damage, remarks=(*warnings, *self._other_names, *summary.remarks),
-            frames=summary.frames if isinstance(summary, CanSummary) else None,
+            frames=getattr(summary, "frames", None),
         )  # fmt: skip
 
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:

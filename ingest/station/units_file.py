@@ -6,15 +6,18 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 from uuid import NAMESPACE_URL, uuid5
 
 import msgspec
 
-from ingest.station.station import SlotTable
 from stream.errors import BadInput
 from stream.events import UnitMounted
 from stream.identity import check_name
 from stream.security.pem_text import fault_of_pem
+
+if TYPE_CHECKING:
+    from ingest.station.station import SlotTable
 
 STDIN = "-"
 COLUMNS = ("serial", "slot", "lot", "operator", "fixture", "firmware", "product")
@@ -128,7 +131,7 @@ def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEn
     return tuple(entry if entry.slot else msgspec.structs.replace(entry, slot=next(left)) for entry in entries)
 
 
-def in_fixtures(entries: Iterable[UnitEntry], slots: Mapping[str, SlotTable]) -> tuple[UnitEntry, ...]:
+def in_fixtures(entries: Iterable[UnitEntry], slots: "Mapping[str, SlotTable]") -> tuple[UnitEntry, ...]:
     """Entries with the fixtures of their slots, where the file of units names none."""
 
     def with_fixture(entry: UnitEntry) -> UnitEntry:

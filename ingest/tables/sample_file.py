@@ -12,6 +12,8 @@ from stream.batch import BoolArray, CountArray, FloatArray, IntArray, SampleBatc
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords
 
+CAN_LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
+
 Progress = Callable[[float], None]
 Keep = Callable[[str, str, str, IntArray], BoolArray]
 
@@ -30,7 +32,7 @@ class SignalSummary:
 
 @dataclass(frozen=True)
 class TableSummary:
-    """Result of the first pass."""
+    """Result of the first pass; that of a CAN log has its `frames` too."""
 
     rows: int  # rows of the file, without header, comments and blank lines
     bad_rows: int  # number of bad rows; `bad` holds the first 1000

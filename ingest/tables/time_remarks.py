@@ -6,11 +6,14 @@ import shlex
 import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
-from zoneinfo import ZoneInfo
+from typing import TYPE_CHECKING
 
 from ingest.tables.sample_file import SignalSummary
 from ingest.tables.times import stamp_text
 from stream.defects.rate_changes import RateChange, remark_on_rate_changes
+
+if TYPE_CHECKING:
+    from zoneinfo import ZoneInfo
 
 _DAY_NS = 86_400 * 10**9
 _YEAR_NS = 365 * _DAY_NS
@@ -56,6 +59,8 @@ def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
     >>> repeated_hour_remark(at, at + 10**9, "UTC") is None, repeated_hour_remark(at, at + 10**9, "Europe/Berlin")[:66]
     (True, 'warning: the clocks of Europe/Berlin were set back at 2026-10-25 0')
     """
+    from zoneinfo import ZoneInfo
+
     place, first = ZoneInfo(zone), datetime.fromtimestamp(first_ns // 10**9, UTC)
     days = min((last_ns - first_ns) // _DAY_NS + 2, _MOST_DAYS)
     for day in range(-1, days):
@@ -134,5 +139,5 @@ def _evenly(title: str, rate_hz: str) -> str:
     return f"if they were taken evenly, --rename {leave_out} --sample-rate {rate_hz} places them so"
 
 
-def _offset(at: datetime, place: ZoneInfo) -> timedelta:
+def _offset(at: datetime, place: "ZoneInfo") -> timedelta:
     return at.astimezone(place).utcoffset() or timedelta(0)

@@ -4,7 +4,6 @@ import re
 from datetime import UTC, datetime, timedelta
 from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pyarrow as pa
@@ -146,6 +145,8 @@ def ns_from_stamp(text: str, zone: str) -> int | None:
     match = match_stamp(text)
     if match is None:
         return None
+    from zoneinfo import ZoneInfo
+
     try:
         moment = datetime.fromisoformat(f"{match['date']}T{match['time'] or '00:00'}{match['zone'] or ''}")
         if moment.tzinfo is None:

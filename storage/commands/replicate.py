@@ -14,7 +14,16 @@ from stream.errors import BadInput
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.security.rights import Role
-from stream.terminal.console import counted, notes, print_json, progress_bar, reporting, results, until_stopped
+from stream.terminal.console import (
+    NoProgress,
+    counted,
+    notes,
+    print_json,
+    progress_bar,
+    reporting,
+    results,
+    until_stopped,
+)
 from stream.terminal.option_checks import about, options_checked
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import check_one_address, secured
@@ -290,7 +299,7 @@ def _recall(asked: _Asked) -> None:
 class _Shown:
     """Shows the bytes that arrive in a bar for each plant."""
 
-    def __init__(self, bar: "Bar") -> None:
+    def __init__(self, bar: "Bar | NoProgress") -> None:
         self._bar = bar
         self._tasks: dict[str, TaskID] = {}
 

@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
 from storage.store import Store, only_one
 from stream.errors import StoreError
@@ -40,8 +39,14 @@ def build_missing(store: Store, *, compacts: bool = True) -> Iterator[str]:
     StoreError after all others are built.
     """
     lake = Lake(store)
+    if not (missing := lake.missing()) and not lake.manifest.parts:
+        if compacts:
+            lake.purge()
+        return
+    from storage.lake.compaction import FAN_IN, compact
+
     failed: dict[str, StoreError] = {}
-    for number, segment in enumerate(lake.bring(lake.missing(), failed), start=1):
+    for number, segment in enumerate(lake.bring(missing, failed), start=1):
         yield segment
         if compacts and number % FAN_IN == 0:
             deque(compact(lake), maxlen=0)

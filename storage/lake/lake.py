@@ -9,11 +9,11 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from storage.lake.drops import Drops
-from storage.lake.part import BuiltPart, build_part, documented_drops, without_samples
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
 from storage.log.misplaced import misplaced_segments
@@ -23,6 +23,9 @@ from storage.manifests.log import LogManifest, read_log_manifest
 from storage.store import Store
 from stream.errors import StoreError
 from stream.files.atomic_file import sync_folder
+
+if TYPE_CHECKING:
+    from storage.lake.part import BuiltPart
 
 GRACE_S = 3600.0
 _TOGETHER_S = 0.5
@@ -79,7 +82,7 @@ class Lake:
                 built, since = [], time.monotonic()
         yield from self._put_in_force(built)
 
-    def swap(self, old: Iterable[str], new: Iterable[BuiltPart]) -> None:
+    def swap(self, old: Iterable[str], new: "Iterable[BuiltPart]") -> None:
         """Put parts in force, replacing the `old` ones; effective with the manifest."""
         gone, new = set(old), list(new)
         for each in new:
@@ -143,12 +146,14 @@ class Lake:
             self.commit(replaced=tuple(each for each in self.manifest.replaced if each.at_ns > before_ns))
         return [each.path for each in due]
 
-    def _put_in_force(self, built: list[BuiltPart]) -> list[str]:
+    def _put_in_force(self, built: "list[BuiltPart]") -> list[str]:
         if built:
             self.swap((), built)
         return [segment for each in built for segment in each.part.segments]
 
-    def _built(self, segment: str) -> BuiltPart:
+    def _built(self, segment: str) -> "BuiltPart":
+        from storage.lake.part import build_part
+
         return build_part(
             self.store.log / f"{segment}.mcap", self.store.tmp / f"lake-{segment}", self.free_name(segment),
             store=self.store.identity, without_raw=self.manifest.dropped.get(segment),
@@ -174,6 +179,8 @@ class Lake:
             elif covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
+                from storage.lake.part import documented_drops
+
                 drops = drops.join(documented_drops(path, self.store.identity))
             else:
                 shutil.rmtree(path)
@@ -193,6 +200,8 @@ class Lake:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
             if part.dropped is None and due and len(due) == len(part.segments):
                 described = descriptions.with_sources(self.store.lake, part)
+                from storage.lake.part import without_samples
+
                 without = without_samples(described, self.manifest.dropped[due[-1]])
                 descriptions.write_part(self.store.lake / part.name, without)
                 parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
@@ -214,6 +223,8 @@ def is_from_log(part: descriptions.Part, log: LogManifest) -> bool:
 def rebuilt_manifest(store: Store) -> manifests.Manifest:
     """A manifest from the parts' own descriptions, to replace one that is lost or damaged."""
     listed = read_log_manifest(store)
+    from storage.lake.part import documented_drops
+
     parts = [part for part in manifests.found_parts(store) if is_from_log(part, listed)]
     drops = Drops({}, {})
     for part in parts:

@@ -12,18 +12,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import click
 import msgspec
-from rich.console import Console
-from rich.text import Text
 
 from stream.errors import GyrofleetError
 from stream.terminal.hints import completed, hinted
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+    from rich.text import Text
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -54,6 +54,8 @@ _EXTRAS = {
 }
 # what spreadsheets begin a formula with, also in the wide forms of Chinese and Japanese input
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+# variables by which rich takes other files for a terminal
+_FORCED = {"FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
 store_option = click.option(
@@ -76,22 +78,6 @@ estimates_option = click.option(
 )
 
 
-class PlainConsole(Console):
-    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters; colour by `styled`."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(highlight=False, emoji=False, markup=False, **options)
-
-    def on_broken_pipe(self) -> None:
-        """Ignore a closed standard error; a closed standard output raises, and ends the command."""
-        if not self.stderr:
-            raise  # noqa: PLE0704  rich calls this while it handles the error
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Text for the terminal."""
-        return super().render_str(shown_text(text), **options)
-
-
 def shown_text(text: str) -> str:
     r"""Make control characters and marks of writing direction visible.
 
@@ -101,8 +87,10 @@ def shown_text(text: str) -> str:
     return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def styled(text: str, style: str) -> Text:
+def styled(text: str, style: str) -> "Text":
     """Text in a colour, or bold, for a `PlainConsole`."""
+    from rich.text import Text
+
     return Text(shown_text(text), style)
 
 
@@ -121,21 +109,17 @@ def csv_text(text: str) -> str:
     return text
 
 
-class _NotesConsole(PlainConsole):
-    """Console whose hints can be run as they are printed; results stay as they are."""
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Text for the terminal."""
-        return super().render_str(completed(text), **options)
-
-
-def notes() -> Console:
+def notes() -> "Console":
     """Console for progress and remarks (standard error)."""
-    return _NotesConsole(stderr=True)
+    from stream.terminal.plain_console import NotesConsole
+
+    return NotesConsole(stderr=True)
 
 
-def results() -> Console:
+def results() -> "Console":
     """Console for results (standard output)."""
+    from stream.terminal.plain_console import PlainConsole
+
     console = PlainConsole()
     if console.is_terminal or "COLUMNS" in os.environ:
         return console
@@ -214,14 +198,31 @@ def output_is_closed() -> bool:
     return any(events & select.POLLERR for _, events in poll.poll(0))
 
 
+class NoProgress:
+    """A progress bar that is not shown."""
+
+    def add_task(self, _description: str, **_: Any) -> "TaskID":
+        """Begin a task."""
+        return cast("TaskID", 0)
+
+    def update(self, _task: "TaskID", **_: Any) -> None:
+        """Take progress of a task."""
+
+    def advance(self, _task: "TaskID", _advance: float = 1) -> None:
+        """Likewise."""
+
+
 @contextmanager
-def progress_bar(*, hidden: bool) -> Iterator["Progress"]:
+def progress_bar(*, hidden: bool) -> Iterator["Progress | NoProgress"]:
     """A progress bar on standard error; nothing where that is not a terminal or `hidden`."""
+    if hidden or not (sys.stderr.isatty() or os.environ.keys() & _FORCED):
+        yield NoProgress()
+        return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = notes()
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=hidden or not console.is_terminal, transient=True) as progress:
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
         yield progress
 
 
@@ -230,6 +231,8 @@ def status_line() -> Iterator[Callable[[str], None]]:
     """Give a function that shows the activity on standard error: one changing line, in a log one every few seconds."""
     console = notes()
     if console.is_terminal:
+        from rich.text import Text
+
         with console.status("starting") as status:
             yield lambda text: status.update(Text(shown_text(text)))
         return

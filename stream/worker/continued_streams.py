@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable
 from itertools import islice
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import WireBatch
 from stream.wire.continued_batches import JoinedMessages, StreamStates
-from stream.worker.signal_analysis import SignalAnalysis
+
+if TYPE_CHECKING:
+    from stream.worker.signal_analysis import SignalAnalysis
 
 _BYTES_A_COUNT = 4
 
@@ -17,7 +19,7 @@ class Taken(NamedTuple):
 
     messages: int
     samples: int
-    completing: tuple[SignalAnalysis, WireBatch] | None = None
+    completing: "tuple[SignalAnalysis, WireBatch] | None" = None
 
 
 class ContinuedStreams:
@@ -41,7 +43,7 @@ class ContinuedStreams:
         known = self._numbers
         return [known.get(key, -1) for key in keys]
 
-    def expect(self, stream: StreamId, analysis: SignalAnalysis, payload: bytes) -> None:
+    def expect(self, stream: StreamId, analysis: "SignalAnalysis", payload: bytes) -> None:
         """Expect messages that continue a signal, which has just taken in `payload`."""
         number = self._numbers.get(stream.key)
         if self._of_signal.get(analysis.name) != number:
@@ -60,7 +62,7 @@ class ContinuedStreams:
             number, payload, pieces.next_seq, pieces.next_ns, pieces.interval_ns, pieces.border, pieces.due_ns
         )
 
-    def forget(self, analysis: SignalAnalysis) -> None:
+    def forget(self, analysis: "SignalAnalysis") -> None:
         """Expect nothing more for a signal."""
         number = self._of_signal.pop(analysis.name, None)
         if number is not None:
@@ -91,7 +93,7 @@ class ContinuedStreams:
         positions[stream] = read.next_seqs[-1]
         return Taken(appended + 1, samples, (analysis, analysis.pieces.continuation(bytes(counts[begin:]))))
 
-    def resume(self, analysis: SignalAnalysis) -> None:
+    def resume(self, analysis: "SignalAnalysis") -> None:
         """Expect messages of the same form after a piece was completed."""
         number, pieces = self._of_signal[analysis.name], analysis.pieces
         self._states.continues(number, pieces.next_seq, pieces.next_ns, pieces.border, pieces.due_ns)

@@ -3,21 +3,24 @@
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from stream.errors import BadInput, WireError
-from stream.estimators.base import PointEstimator
 from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded, UnitReleased
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.wire.acknowledgement import StreamId
 from stream.wire.batches import WireBatch, read_wire_batch
 from stream.wire.continued_batches import JoinedMessages
 from stream.wire.event_validation import decode_received
-from stream.worker.checkpoint import Checkpoint
 from stream.worker.continued_streams import ContinuedStreams
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.limit_checks import VERDICT, unit_verdicts
 from stream.worker.pending_ends import PendingEnds, streams_of
-from stream.worker.signal_analysis import Documents, SignalAnalysis, new_estimators
+
+if TYPE_CHECKING:
+    from stream.estimators.base import Estimator, PointEstimator
+    from stream.worker.checkpoint import Checkpoint
+    from stream.worker.signal_analysis import Documents, SignalAnalysis
 
 _parse = functools.lru_cache(65_536)(parse_key)
 
@@ -38,6 +41,9 @@ class EstimationCounts:
 class Estimation:
     """Takes the messages of all streams, keeps an analysis of every signal, and publishes the documents that are due.
 
+    Estimators, and what they need, are loaded for the first signal that is estimated. `factories` are those of a
+    signal, by default `default_estimators`.
+
     Estimates are due after every `every_ns` of a signal's time; a signal keeps its first interval. `publish` gets the
     key expression and the document. `fill` gets a stream and a number, and reads the missing messages before that
     number from a log, if it has them soon. A message after a gap that remains is left out (`left_out` is then set), and
@@ -50,13 +56,13 @@ class Estimation:
     """
 
     def __init__(
-        self, every_ns: int, factories: Mapping[str, Callable[[], PointEstimator]],
+        self, every_ns: int, factories: "Mapping[str, Callable[[], PointEstimator]] | None",
         publish: Callable[[str, AnyDocument], None], fill: Callable[[StreamId, int], None] | None = None, *,
         spectrum: bool = True, estimated: EstimatedSignals = EstimatedSignals(),
     ) -> None:  # fmt: skip
         self._every_ns, self._estimated = every_ns, estimated
         self._not_estimated: set[tuple[str, str, str]] = set()
-        self._new_estimators = functools.partial(new_estimators, factories, spectrum=spectrum)
+        self._factories, self._spectrum = factories, spectrum
         self._publish, self._fill = publish, fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[tuple[str, str | None], LimitsApplied] = {}
@@ -97,8 +103,10 @@ class Estimation:
         except (BadInput, WireError):
             self.counts.rejected += 1  # the recorder quarantines and reports it
 
-    def checkpoint(self, store: str) -> Checkpoint:
+    def checkpoint(self, store: str) -> "Checkpoint":
         """The state, with the identity of its store."""
+        from stream.worker.checkpoint import Checkpoint
+
         return Checkpoint(
             store=store,
             positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self.positions.items()],
@@ -109,8 +117,10 @@ class Estimation:
             released=[each for of_run in self._released.values() for each in of_run.values()],
         )
 
-    def resume(self, checkpoint: Checkpoint) -> None:
+    def resume(self, checkpoint: "Checkpoint") -> None:
         """Resume from a checkpoint; an EstimatorError, and no change, if a snapshot in it is damaged."""
+        from stream.worker.signal_analysis import SignalAnalysis
+
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
         self._continued = ContinuedStreams()
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
@@ -247,19 +257,29 @@ class Estimation:
     def _forget_not_estimated(self, run: str) -> None:
         self._not_estimated = {each for each in self._not_estimated if each[0] != run}
 
-    def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> SignalAnalysis | None:
+    def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> "SignalAnalysis | None":
         """Start the analysis of a signal; None where it is not estimated."""
         run, unit, signal = name
         limits = self._limits.get((run, unit)) or self._limits.get((run, None))
         is_limited = limits is not None and any(limit.signal == signal for limit in limits.limits)
         if not is_limited and not self._estimated.includes(signal, unit_of_measure):
             return None
+        from stream.worker.signal_analysis import SignalAnalysis
+
         analysis = SignalAnalysis(place, (unit, signal, run), self._every_ns, self._new_estimators())
         self._signals[name] = analysis
         if limits is not None:
             analysis.apply_limits(limits)
         return analysis
 
-    def _publish_all(self, analysis: SignalAnalysis, documents: Documents) -> None:
+    def _new_estimators(self) -> "list[Estimator[Any]]":
+        from stream.estimators.base import default_estimators
+        from stream.worker.signal_analysis import new_estimators
+
+        if self._factories is None:
+            self._factories = default_estimators()
+        return new_estimators(self._factories, spectrum=self._spectrum)
+
+    def _publish_all(self, analysis: "SignalAnalysis", documents: "Documents") -> None:
         for what, document in documents:
             self._publish(estimate_key(analysis.place, analysis.unit, analysis.signal, what), document)

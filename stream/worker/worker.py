@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stream.closing import Closing
 from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
-from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
 from stream.security.proof import credentials_of
@@ -19,9 +19,11 @@ from stream.status.reporter import StatusReporter
 from stream.status.role_status import Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId
-from stream.worker.checkpoint import generations, quarantine, read_checkpoint, write_checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.estimation import Estimation
+
+if TYPE_CHECKING:
+    from stream.estimators.base import PointEstimator
 
 # A worker that falls behind must block neither the recorder, which shares its subscription, nor the bus that it
 # publishes on: sources in the same process wait for room; messages of others that it cannot hold are left out.
@@ -63,7 +65,7 @@ class EstimationWorker(Closing):
 
     def __init__(
         self, bus: Bus, publisher: DocumentSender, *, every_s: float = 60.0,
-        estimators: Mapping[str, Callable[[], PointEstimator]] | None = None,
+        estimators: "Mapping[str, Callable[[], PointEstimator]] | None" = None,
         on_document: Callable[[AnyDocument], None] | None = None, log: RecordedLog | None = None,
         checkpoint: Path | None = None, checkpoint_every_s: float = 30.0, spectrum: bool = True,
         estimated: EstimatedSignals = EstimatedSignals(),
@@ -72,7 +74,7 @@ class EstimationWorker(Closing):
         self._checkpoint, self._checkpoint_every_s = checkpoint, checkpoint_every_s
         self._next_save = time.monotonic() + checkpoint_every_s
         self._estimation = Estimation(
-            round(every_s * 1e9), default_estimators() if estimators is None else estimators, self._publish,
+            round(every_s * 1e9), estimators, self._publish,
             None if log is None else self._fill, spectrum=spectrum, estimated=estimated,
         )  # fmt: skip
         self.counts = self._estimation.counts
@@ -152,17 +154,21 @@ class EstimationWorker(Closing):
     def _resume(self, log: RecordedLog) -> bool:
         """Resume from the newest sound checkpoint; without one, begin with the runs in progress in the log."""
         is_damaged = False
-        for path in () if self._checkpoint is None else generations(self._checkpoint):
-            try:
-                found = read_checkpoint(path)
-                if found is None or found.store != log.identity:
-                    continue
-                self._estimation.resume(found)
-            except CheckpointDamaged as error:
-                is_damaged = True
-                self.warnings.append(f"{error}; it is kept as {quarantine(path)}, and the log is read instead")
-            else:
-                return True
+        if self._checkpoint is not None:
+            from stream.worker.checkpoint import generations, quarantine, read_checkpoint  # loads all estimators
+
+            for path in generations(self._checkpoint):
+                try:
+                    found = read_checkpoint(path)
+                    if found is None or found.store != log.identity:
+                        continue
+                    self._estimation.resume(found)
+                except CheckpointDamaged as error:
+                    is_damaged = True
+                    kept = quarantine(path)
+                    self.warnings.append(f"{error}; it is kept as {kept}, and the log is read instead")
+                else:
+                    return True
         beginning = log.beginning(thorough=is_damaged)
         self._estimation.positions, self._estimation.ended = beginning.positions, beginning.ended
         self._write()  # a worker killed before the first regular one begins here again
@@ -260,6 +266,8 @@ class EstimationWorker(Closing):
 
     def _write(self) -> None:
         if self._checkpoint is not None and self._log is not None:
+            from stream.worker.checkpoint import write_checkpoint
+
             write_checkpoint(self._checkpoint, self._estimation.checkpoint(self._log.identity))
 
     def _recall(self, *, saving: bool = False) -> None:

@@ -40,7 +40,8 @@ from stream.security.rights import Role
 from stream.status.endpoint import families
 from stream.status.role_status import Role as StatusRole
 from stream.status.role_status import RoleState, RunProgress, new_status
-from stream.terminal.console import PlainConsole, csv_text, shown_text
+from stream.terminal.console import csv_text, shown_text
+from stream.terminal.plain_console import PlainConsole
 from stream.wire.batches import encode_batch
 from tests.analytics.serve.conftest import TOKEN, start
 from tests.forked_commands import CommandServer

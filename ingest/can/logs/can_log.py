@@ -18,7 +18,8 @@ from ingest.can.logs.bounds import check_bounds, check_objects
 from ingest.can.logs.mf4 import mf4_reader
 from ingest.can.logs.structure import LEAST_BYTES, MAGIC, find_damage
 from ingest.can.logs.text_logs import AscReader, CandumpReader, TrcReader, lines_left_out
-from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts, logged_by
+from ingest.can.summary import LogFrameCounts, logged_by
+from ingest.tables.sample_file import CAN_LOG_SUFFIXES
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
@@ -195,8 +196,8 @@ _READERS: dict[str, Callable[[Path, str | None], MessageReader]] = {
 
 def _check_kind(path: Path) -> None:
     suffix = path.suffix.lower()
-    if suffix not in LOG_SUFFIXES:
-        raise BadInput(f"{path}: unknown kind of CAN log {suffix!r}; known are {' '.join(sorted(LOG_SUFFIXES))}")
+    if suffix not in CAN_LOG_SUFFIXES:
+        raise BadInput(f"{path}: unknown kind of CAN log {suffix!r}; known are {' '.join(sorted(CAN_LOG_SUFFIXES))}")
     try:
         if path.is_dir():
             raise BadInput(f"{path}: a directory; give a file")
