@@ -130,7 +130,11 @@ def rollup_tables(channels: Iterable[tuple[int | IntArray, Rollup]]) -> tuple[pa
     seconds = _each(lambda *columns: np.concatenate(columns), *rollups)
     bucket = seconds.bucket // 10
     is_first = _begins(channel) | (np.diff(bucket, prepend=bucket[0]) != 0)
-    return _table(channel, seconds), _table(channel[is_first], _merged(seconds, bucket, is_first))
+    of_seconds = _table(channel, seconds)
+    if is_first.all():  # slower signals: each second is its ten seconds
+        place = ROLLUP_COLUMNS.get_field_index("bucket")
+        return of_seconds, of_seconds.set_column(place, ROLLUP_COLUMNS.field(place), pa.array(bucket))
+    return of_seconds, _table(channel[is_first], _merged(seconds, bucket, is_first))
 
 
 def of_rows(numbers: Sequence[int | IntArray], rows: Sequence[int]) -> IntArray:
