@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 
 import msgspec
@@ -285,6 +286,7 @@ class _HeaderReader:
         self.columns.signals.append(SignalColumn(title, signal, measure))
 
 
+@lru_cache(maxsize=4096)  # files of one command have the same titles
 def _parts(title: str) -> tuple[str, str | None, bool]:
     """Name and unit of a title, and whether its unit is in round brackets, as other programs write it."""
     title = title.translate(_FULL_WIDTH)
@@ -298,6 +300,7 @@ def _plain_letters(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", text.lower())
 
 
+@lru_cache(maxsize=4096)
 def _is_time_name(name: str) -> bool:
     return _plain_letters(name) in _LOOKS_LIKE_TIME or name.strip() in _CHINESE_TIMES
 

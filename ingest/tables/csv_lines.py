@@ -134,7 +134,7 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     named = _NAMED_DELIMITER.fullmatch(lines[0][0]) if any(text.strip() for text, _ in lines[1:]) else None
     if named:
         lines = [("", lines[0][1]), *lines[1:]]
-    written = [i for i, (text, _) in enumerate(lines) if text.strip() and not text.startswith("#")]
+    written = [i for i, (text, _) in enumerate(lines) if text[:1] != "#" and text.strip()]
     header_at, units_at = _header_place(lines, written)
     header = lines[header_at][0]
     preamble = tuple(lines[i][0].strip() for i in written if i < header_at)
@@ -181,8 +181,9 @@ def usual_lines(begin: bytes, rows: int, *, is_whole: bool) -> list[tuple[str, i
     if not is_whole or not texts[-1]:
         texts.pop()
     ends = [min(end, len(begin)) for end in accumulate(len(text) + 1 for text in texts)]
-    texts = [text.rstrip("\r") for text in texts]
-    found = [i for i, text in enumerate(texts) if text.strip() and not text.startswith("#")]
+    if b"\r" in begin:
+        texts = [text.rstrip("\r") for text in texts]
+    found = [i for i, text in enumerate(texts) if text[:1] != "#" and text.strip()]
     if len(found) < rows and not is_whole:
         return []
     most = found[rows - 1] + 1 if len(found) >= rows else len(texts)

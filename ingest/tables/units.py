@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from functools import lru_cache
 
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_unit, conversion, is_angular_rate, plain_unit, result_factor
@@ -129,6 +130,7 @@ def is_unit(text: str) -> bool:
     return True
 
 
+@lru_cache(maxsize=4096)  # files of one command have the same titles
 def column_unit(text: str, signal: str) -> tuple[str, str]:
     """Unit of a column of a table, and a remark if it was interpreted or does not suit the signal; else ''.
 
