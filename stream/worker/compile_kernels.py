@@ -109,9 +109,16 @@ def warm_up_noise_fit() -> None:
     """Compile or load the machine code of the noise fit."""
     import numpy as np
 
-    from stream.estimators.noise.noise_kernel import descend, descend_with, least_deviances, weighted_least_squares
+    from stream.estimators.noise.noise_kernel import (
+        descend,
+        descend_with,
+        least_deviances,
+        residual_of,
+        weighted_least_squares,
+    )
 
     descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
     descend_with(np.ones((2, 2)), np.ones(2), np.ones(2), 0, 1.0, 1e-9)
+    residual_of(np.ones((2, 1)), np.ones((2, 1)))
     least_deviances(np.ones((2, 1)), np.ones(2), np.ones((2, 2), order="F"))  # as the likelihood has them
     weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))

@@ -313,6 +313,34 @@ def descend_with(
 
 
 @kernel
+def residual_of(others: FloatArray, target: FloatArray) -> FloatArray:
+    """What is left of columns, shape (n, m), after least squares on other columns, shape (n, p).
+
+    >>> residual_of(np.array([[1.0], [1.0]]), np.array([[3.0, 1.0], [1.0, 1.0]])).round(12).tolist()
+    [[1.0, 0.0], [-1.0, 0.0]]
+    """
+    n, size = others.shape
+    basis, upper, is_used = np.empty((size, n)), np.zeros((size, size)), np.zeros(size, np.bool_)
+    left = target.copy()
+    shares = np.empty(left.shape[1])
+    for k in range(size):
+        for i in range(n):
+            basis[k, i] = others[i, k]
+        is_used[k] = _orthogonalise(basis, k, is_used, upper)
+        if not is_used[k]:
+            continue
+        for j in range(left.shape[1]):
+            shares[j] = 0.0
+        for i in range(n):
+            for j in range(left.shape[1]):
+                shares[j] += basis[k, i] * left[i, j]
+        for i in range(n):
+            for j in range(left.shape[1]):
+                left[i, j] -= basis[k, i] * shares[j]
+    return left
+
+
+@kernel
 def least_deviances(columns: FloatArray, degrees: FloatArray, more: FloatArray) -> FloatArray:
     """Least deviance with one more column, for each column of `more`, shape (n, m); shape (m,)."""
     n, terms = columns.shape

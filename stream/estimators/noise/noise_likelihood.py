@@ -10,6 +10,7 @@ from stream.estimators.noise.noise_kernel import (
     descend_with,
     deviance,
     least_deviances,
+    residual_of,
     weighted_least_squares,
 )
 from stream.estimators.noise.root_between import root_between
@@ -132,9 +133,7 @@ class CurveLikelihood:
             at_work[without] = False
         others = self.scores(theta, self.columns[:, at_work])
         target = self.scores(theta, columns)
-        basis, _ = np.linalg.qr(others)
-        left: FloatArray = target - basis @ (basis.T @ target)
-        return left
+        return _residual_of(others, target)
 
     def inflation(self, theta: FloatArray, which: int) -> float:
         """Variance of an estimate over that of independent points, at least 1."""
@@ -147,11 +146,8 @@ class CurveLikelihood:
         With P the residual projection of the positive terms and C the correlation of the variances, D is a quadratic
         form of mean tr(P C) and variance 2 tr(P C P C) (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
         """
-        basis, _ = np.linalg.qr(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]))
-        within = self._correlation @ basis
-        between = basis.T @ within
-        mean = float(np.trace(self._correlation) - np.trace(between))
-        square = float(np.sum(self._correlation**2) - 2.0 * np.sum(within**2) + np.sum(between**2))
+        product = _residual_of(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]), self._correlation)
+        mean, square = float(np.trace(product)), float(np.sum(product * product.T))
         return mean, mean**2 / square if square > 0.0 else 0.0
 
     def known_share(self) -> float:
@@ -197,6 +193,11 @@ class CurveLikelihood:
                 break
             inflation, below, above = there, hi, 1.5 * hi
         return lo, hi
+
+
+def _residual_of(others: FloatArray, target: FloatArray) -> FloatArray:
+    left: FloatArray = residual_of(np.ascontiguousarray(others), np.ascontiguousarray(target))
+    return left
 
 
 def deviance_quantile(confidence: float) -> float:

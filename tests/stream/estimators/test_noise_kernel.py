@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from stream.estimators.noise.noise_kernel import nonnegative_least_squares
+from stream.estimators.noise.noise_kernel import nonnegative_least_squares, residual_of
 
 
 @pytest.mark.long
@@ -32,3 +32,14 @@ def test_a_column_that_repeats_another_changes_nothing() -> None:
     column = np.array([1.0, 2.0, 3.0])
     matrix = np.stack([column, column], 1) / np.linalg.norm(column)
     assert matrix @ nonnegative_least_squares(matrix, column) == pytest.approx(column, rel=1e-12)
+
+
+@pytest.mark.parametrize("terms", [0, 1, 3])
+def test_the_residual_is_that_of_a_projection(terms: int) -> None:
+    rng = np.random.default_rng(terms)
+    others, target = rng.normal(size=(12, terms)), rng.normal(size=(12, 5))
+    basis, _ = np.linalg.qr(others)
+    left = residual_of(others, target)
+    assert np.allclose(left, target - basis @ (basis.T @ target), rtol=0.0, atol=1e-14)
+    twice = residual_of(np.ascontiguousarray(np.column_stack([others, others])), target)  # dependent columns
+    assert np.allclose(twice, left, rtol=0.0, atol=1e-13)
