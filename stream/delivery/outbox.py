@@ -38,6 +38,7 @@ class Outbox:
         self.streams: dict[tuple[str, str], OutgoingStream] = {}
         self._renamed: dict[tuple[str, str], tuple[OutgoingStream, int]] = {}
         self.behind: dict[OutgoingStream, None] = {}
+        self._holding: dict[OutgoingStream, None] = {}  # of thousands of streams those that hold something
         self.bytes = 0
         self.credit = _FIRST_CREDIT_BYTES
         self.progress_at = time.monotonic()
@@ -69,6 +70,7 @@ class Outbox:
             stream.quiet_since = time.monotonic()
             if not self.bytes:
                 self.progress_at = stream.quiet_since
+            self._holding[stream] = None
         stream.held.append(held)
         self.bytes += len(held.payload)
         if stream.sent == len(stream.held) - 1 and not stream.pumping:
@@ -89,7 +91,7 @@ class Outbox:
     def count(self) -> int:
         """Messages that are not acknowledged; of those on disk from before, an upper bound."""
         spooled = 0 if self._spool is None else self._spool.waiting
-        return spooled + sum(len(stream.held) for stream in self.streams.values())
+        return spooled + sum(len(stream.held) for stream in self._holding)
 
     def format_outstanding(self) -> str:
         """What is outstanding, for people."""
@@ -150,6 +152,8 @@ class Outbox:
         if self._spool is not None:
             self._spool.acknowledge(store, stream.id, next_seq)
         freed = stream.release(next_seq)
+        if not stream.held:
+            self._holding.pop(stream, None)
         if freed:
             stream.mark_progress(now)
             self.bytes -= freed
@@ -194,7 +198,7 @@ class Outbox:
         """The messages to send again because nothing was answered."""
         if self.credit <= 0:
             self.credit = CHUNK_BYTES  # without any answer, a little is still sent
-        overdue = [stream for stream in self.streams.values() if stream.is_overdue(now)]
+        overdue = [stream for stream in self._holding if stream.is_overdue(now)]
         if self.is_paused():
             overdue = overdue[:_POLLED_IN_A_PAUSE]  # enough to notice its end
         polled = [(stream, held) for stream in overdue for held in stream.poll(now, self._longest_wait_s)]
