@@ -25,6 +25,7 @@ from storage.sql.overlay import Overlay
 from storage.sql.parquet_content import ParquetContent
 from storage.sql.put_tables import PutTables
 from storage.sql.sandbox.guard import check_statement, one_statement, plain_message, refused
+from storage.sql.sandbox.moments import in_utc
 from storage.sql.views import VIEWS, defer_views, define_deferred_views, lists_views, reading_lake
 from storage.store import Store
 from stream.closing import Closing
@@ -349,6 +350,7 @@ class Catalog(Closing):
 
     def _user_rows(self, sql: str, parameters: object) -> pa.RecordBatchReader:
         cursor = self._prepared(sql)
+        sql, parameters = in_utc(cursor, sql, parameters)
         cursor.execute("begin transaction read only")
         return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
 
@@ -413,4 +415,9 @@ def _failed(error: Exception) -> QueryError:
     reason = plain_message(error)
     if "disabled by configuration" in reason:
         reason += "; only the store is read here, import other data first"
+    if "WITH TIME ZONE" in reason and isinstance(error, duckdb.BinderException):
+        reason += (
+            "; times here are UTC without a zone: write a moment as text with its offset, as "
+            "'2026-11-21T18:00:00+08:00', and cast another expression, as now()::timestamp"
+        )
     return QueryError(f"{reason} (views: {', '.join(known_tables())})")

@@ -112,9 +112,13 @@ class SqlDoor(Closing):
 
     def ask(self, statement: str, parameters: object = None) -> Result:
         """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
+        try:
+            request = pickle.dumps({"statement": statement, "parameters": parameters})
+        except Exception as error:
+            raise QueryError(f"a parameter is of a kind that SQL has not: {error}") from error
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
-            process.send(FrameKind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
+            process.send(FrameKind.REQUEST, request)
             import pyarrow as pa
 
             kind, content = self._received(process)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import gyrofleet as gf
-from stream.errors import BadInput, NotFound, StoreError
+from stream.errors import BadInput, NotFound, QueryError, StoreError
 
 START = "2026-11-01T00:00:00+08:00"
 
@@ -69,6 +70,30 @@ def test_samples_between_two_moments(store: gf.FleetStore) -> None:
         store.samples("G-1", "rate", start=20, stop=10)
     with pytest.raises(NotFound, match="G-9"):
         store.samples("G-9", "rate")
+
+
+def test_a_moment_in_sql_is_that_of_samples(store: gf.FleetStore) -> None:
+    at, count = "2026-11-01T00:00:10+08:00", "select count(*) as n from samples where unit = 'G-1' and signal = 'rate'"
+    expected = [{"n": store.samples("G-1", "rate", start=at).height}]
+    assert store.sql(f"{count} and time >= '{at}'").rows() == expected
+    for moment in (at, datetime.fromisoformat(at)):
+        assert store.sql(f"{count} and time >= $at", {"at": moment}).rows() == expected
+    with pytest.raises(QueryError, match=r"now\(\)::timestamp"):
+        store.sql(f"{count} and time >= now()")
+
+
+class _OfTheCaller:
+    """What the process of statements cannot read, as of a module that only the caller has."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return int, ("none",)
+
+
+@pytest.mark.parametrize("value", [_OfTheCaller(), lambda: 1])
+def test_a_parameter_that_sql_has_not_is_refused(store: gf.FleetStore, value: object) -> None:
+    with pytest.raises(QueryError, match="of a kind that SQL has not"):
+        store.sql("select $p", {"p": value})
+    assert store.sql("select 1 as a").rows() == [{"a": 1}]
 
 
 @pytest.mark.parametrize("moment", [np.datetime64("3000-01-01"), np.datetime64("NaT"), True])

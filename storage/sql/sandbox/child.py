@@ -112,8 +112,12 @@ def _listen(requests: IO[bytes], waiting: "SimpleQueue[dict[str, Any]]") -> None
     """Queue requests; end this process when the parent has ended."""
     try:
         while True:
-            # pickle, since parameters may be any values; from the parent only
-            waiting.put(pickle.loads(read_frame(requests)[1]))  # noqa: S301
+            content = read_frame(requests)[1]
+            try:
+                # pickle, since parameters may be any values; from the parent only
+                waiting.put(pickle.loads(content))  # noqa: S301
+            except Exception as error:  # noqa: BLE001  of a class that this process lacks: whatever it raises
+                waiting.put({"unreadable": str(error)})
     except Closed:
         os._exit(0)
 
@@ -121,7 +125,7 @@ def _listen(requests: IO[bytes], waiting: "SimpleQueue[dict[str, Any]]") -> None
 def _serve(
     setup: dict[str, Any], waiting: "SimpleQueue[dict[str, Any]]", answers: IO[bytes], *, is_enforced: bool
 ) -> None:
-    from stream.errors import GyrofleetError
+    from stream.errors import GyrofleetError, QueryError
 
     try:
         catalog = _catalog(setup)
@@ -133,6 +137,8 @@ def _serve(
     while True:
         request = waiting.get()
         try:
+            if "unreadable" in request:
+                raise QueryError(f"a parameter is of a kind that SQL has not: {request['unreadable']}")
             _answer(catalog, request, answers, setup)
         except (GyrofleetError, MemoryError) as error:
             _pause()

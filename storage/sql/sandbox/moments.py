@@ -1,0 +1,234 @@
+"""Moments with an offset in users' statements and parameters mean the instant that they name.
+
+Times of the store are UTC without a zone, and DuckDB drops the offset of a text that it casts to such a time. Here a
+text in such a place is replaced by its moment in UTC. Texts that are used as texts stay as they are.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import compress
+from typing import Any, NamedTuple
+
+import duckdb
+
+from stream.errors import QueryError
+
+_MOMENT = re.compile(
+    r"\s*(?P<whole>\d{1,6}[-/\\ ]\d{1,2}[-/\\ ]\d{1,2}[T ]\s*\d{1,2}:\d{1,2}(?::\d{1,2})?)(?P<fraction>\.\d*)?"
+    r"\s*(?P<zone>[+-]\d{2}[\d:]*|[A-Za-z][\w/+-]*)\s*",
+    re.IGNORECASE,
+)
+_LIKE_ONE = re.compile(r":\d{1,2}(?:\.\d*)?\s*(?:[+-]\d|[A-Za-z])")  # in a statement
+_UTC = {"z", "utc"}
+_TIMES = re.compile(r"(timestamp|datetime|date)(_\w+)?( without time zone)?", re.IGNORECASE)
+_EQUALITIES = {"COMPARE_EQUAL", "COMPARE_NOTEQUAL", "COMPARE_DISTINCT_FROM", "COMPARE_NOT_DISTINCT_FROM"}
+_BEFORE_DEFAULT = 2  # arguments of LAG
+
+
+class _Site(NamedTuple):
+    """Where a statement has a moment with an offset: as a literal, or the name of its parameter."""
+
+    node: dict[str, Any]
+    text: str
+    name: str | None
+    begin: int  # in the bytes of the statement
+    length: int
+    is_cast: bool  # to a time, by the statement itself
+
+
+def in_utc(connection: duckdb.DuckDBPyConnection, sql: str, parameters: object) -> tuple[str, object]:
+    """The statement and its parameters with moments in UTC wherever DuckDB would take their texts for times.
+
+    >>> connection = duckdb.connect()
+    >>> in_utc(connection, "select timestamp '2026-11-20T08:00:10+08:00' > $a", {"a": "2026-11-20T07:00+08"})
+    ("select timestamp '2026-11-20 00:00:10+00' > $a", {'a': '2026-11-19 23:00:00+00'})
+    >>> in_utc(connection, "select '2026-11-20T08:00:10+08:00' = 'a'", None)
+    ("select '2026-11-20T08:00:10+08:00' = 'a'", None)
+    """
+    values = _without_zones(parameters)
+    named = _by_name(values)
+    if not _LIKE_ONE.search(sql) and not any(_has_offset(each) for each in named.values()):
+        return sql, values
+    ((tree,),) = connection.execute("select json_serialize_sql(?::varchar)", [sql]).fetchall()
+    if json.loads(tree)["error"]:  # no SELECT: it only explains
+        return sql, values
+    sites = list(_sites(json.loads(tree), named))
+    of_times = _taken_for_times(connection, tree, named, values)
+    as_texts = {each.name for each, is_time in zip(sites, of_times, strict=True) if not is_time}
+    edits = {}
+    for each in compress(sites, of_times):
+        text = _utc(connection, each.text)
+        if each.name is None or each.name in as_texts:  # such a parameter keeps its text elsewhere
+            edits[_place(sql, each)] = f"'{text}'"
+        else:
+            named[each.name] = text
+    filled = list(named.values()) if isinstance(values, list) else named or values
+    return _edited(sql, edits), filled
+
+
+def _has_offset(text: object) -> bool:
+    found = _MOMENT.fullmatch(text) if isinstance(text, str) else None
+    return found is not None and found["zone"].lower() not in _UTC
+
+
+def _without_zones(value: object) -> Any:
+    """The value, with datetimes that have a zone as UTC without one."""
+    if isinstance(value, datetime):
+        return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)
+    if isinstance(value, Mapping):
+        return {name: _without_zones(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_zones(each) for each in value]
+    return value
+
+
+def _by_name(parameters: object) -> dict[str, Any]:
+    if isinstance(parameters, Mapping):
+        return dict(parameters)
+    if isinstance(parameters, list):
+        return {str(number): each for number, each in enumerate(parameters, 1)}
+    return {}
+
+
+def _sites(tree: Any, parameters: Mapping[str, Any]) -> Iterator[_Site]:
+    waiting: list[tuple[Any, dict[str, Any] | None]] = [(tree, None)]
+    while waiting:
+        each, cast = waiting.pop()
+        if isinstance(each, list):
+            waiting.extend((inner, None) for inner in each)
+        if not isinstance(each, dict):
+            continue
+        kind = each.get("class")
+        literal = each.get("literal") if kind == "CONSTANT" else None
+        name = str(each["identifier"]) if kind == "PARAMETER" else None
+        text = parameters.get(name) if name is not None else literal and literal.get("text")
+        if isinstance(text, str) and _has_offset(text):
+            at = cast if cast is not None and each["query_location_length"] == 0 else each
+            is_cast = cast is not None and _is_time(cast["type_expr"])
+            yield _Site(each, text, name, at["query_location"], at["query_location_length"], is_cast)
+        if kind == "CAST":
+            waiting.append((each["child"], each if cast is None else cast))
+        elif each.get("function_name") == "list_value":
+            waiting.extend((argument["expression"], cast) for argument in each["arguments"])
+        else:
+            waiting.extend((inner, None) for inner in each.values())
+
+
+def _is_time(kind: dict[str, Any]) -> bool:
+    """Whether a type is that of times without a zone, or a list of them."""
+    while kind["type_name"].lower() == "list" and kind["children"]:
+        kind = kind["children"][0]
+    return _TIMES.fullmatch(kind["type_name"]) is not None
+
+
+def _taken_for_times(
+    connection: duckdb.DuckDBPyConnection, tree: str, named: Mapping[str, Any], values: object
+) -> list[bool]:
+    """Of each site, whether DuckDB casts the text to a time.
+
+    Where it does so by itself, it does not accept an expression that is a text.
+    """
+    probe = _Probe(connection, tree, named, values)
+    if not probe.asked:
+        return [each.is_cast for each in probe.sites]
+    _forbid_casts(probe.tree)
+    if not probe.is_valid([]):
+        probe = _Probe(connection, tree, named, values)
+        if not probe.is_valid([]):  # its error comes when it runs
+            return [False] * len(probe.sites)
+    if probe.is_valid(probe.asked):
+        return [each.is_cast for each in probe.sites]
+    return [each.is_cast or not probe.is_valid([each]) for each in probe.sites]
+
+
+class _Probe:
+    """Asks DuckDB whether a statement is valid with some of its texts cast to text."""
+
+    def __init__(
+        self, connection: duckdb.DuckDBPyConnection, tree: str, named: Mapping[str, Any], values: object
+    ) -> None:
+        self.tree: dict[str, Any] = json.loads(tree)
+        self.sites = list(_sites(self.tree, named))
+        self.asked = [each for each in self.sites if not each.is_cast]
+        self._connection, self._values = connection, values
+        ((cast,),) = connection.execute("select json_serialize_sql('select null::varchar')").fetchall()
+        self._cast: dict[str, Any] = json.loads(cast)["statements"][0]["node"]["select_list"][0]
+
+    def is_valid(self, as_texts: list[_Site]) -> bool:
+        """Whether the statement is valid with these cast to text."""
+        for site in as_texts:
+            own = dict(site.node)
+            site.node.clear()
+            site.node.update(self._cast | {"child": own})
+        tree = json.dumps(self.tree)
+        for site in as_texts:
+            own = site.node["child"]
+            site.node.clear()
+            site.node.update(own)
+        try:
+            ((sql,),) = self._connection.execute("select json_deserialize_sql(?::json)", [tree]).fetchall()
+            self._connection.execute(f"describe {sql}", self._values).fetchall()
+        except duckdb.Error:
+            return False
+        return True
+
+
+def _forbid_casts(tree: Any) -> None:
+    """Replace what casts even an expression that is a text (=, IN, NULLIF, the default of LAG) by what does not."""
+    waiting = [tree]
+    while waiting:
+        each = waiting.pop()
+        if isinstance(each, list):
+            waiting.extend(each)
+        if not isinstance(each, dict):
+            continue
+        kind = each.get("type")
+        if kind in _EQUALITIES:
+            each["type"] = "COMPARE_GREATERTHAN"
+        elif kind == "FUNCTION" and str(each.get("function_name")).lower() == "nullif":
+            each.update(function_name="ifnull", qualified_name={"path": ["ifnull"]})
+        elif kind == "COMPARE_IN":
+            each.update(type="OPERATOR_IS_NOT_NULL", children=[_coalesced(each["children"])])
+        elif kind in {"WINDOW_LAG", "WINDOW_LEAD"} and len(each["arguments"]) > _BEFORE_DEFAULT:
+            first, _, default = (argument["expression"] for argument in each["arguments"])
+            each["arguments"] = [{"name": "", "expression": _coalesced([first, default])}]
+        waiting.extend(each.values())
+
+
+def _coalesced(children: list[Any]) -> dict[str, Any]:
+    return {"class": "OPERATOR", "type": "OPERATOR_COALESCE", "alias": "", "children": children}
+
+
+def _utc(connection: duckdb.DuckDBPyConnection, text: str) -> str:
+    found = _MOMENT.fullmatch(text)
+    assert found is not None
+    zone = found["zone"] if found["zone"][0] in "+-" else f" {found['zone']}"
+    try:
+        ((moment,),) = connection.execute(
+            "select timezone('UTC', ?::varchar::timestamptz)::varchar", [found["whole"] + zone]
+        ).fetchall()
+    except duckdb.Error:
+        raise QueryError(
+            f"the moment {text!r} has no time zone that is known: write its offset, as 2026-11-21T18:00:00+08:00, or "
+            "the moment in UTC without one"
+        ) from None
+    return f"{moment}{found['fraction'] or ''}+00"
+
+
+def _place(sql: str, site: _Site) -> tuple[int, int]:
+    """Where the literal or the parameter begins and ends in the bytes of the statement."""
+    stop = site.begin + site.length
+    tokens = [(begin, kind) for begin, kind in duckdb.tokenize(sql) if site.begin <= begin < stop]
+    begins = [begin for begin, kind in tokens if site.name is not None or kind == duckdb.token_type.string_const]
+    if not begins or (site.name is None and len(begins) > 1):
+        raise QueryError(f"the moment {site.text!r} has an offset: write it in UTC, without one")
+    return begins[0], stop
+
+
+def _edited(sql: str, edits: Mapping[tuple[int, int], str]) -> str:
+    content = sql.encode()
+    for (begin, stop), text in sorted(edits.items(), reverse=True):
+        content = content[:begin] + text.encode() + content[stop:]
+    return content.decode()
