@@ -47,6 +47,10 @@ with started as (
 ), ended as (
   select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
   from internal.lake_documents where kind = 'RunEnded' group by run
+), files as (
+  select run, arg_min(source, arrival_ns) as first, count(distinct source) as files
+  from (select run, arrival_ns, document->>'$.source' as source from internal.lake_documents where kind = 'RunStarted')
+  group by run
 ), stated as (
   select run, arg_max(document->>'$.details.time_zone', arrival_ns) as time_zone
   from internal.lake_documents
@@ -90,7 +94,7 @@ select
   s.document->>'$.operator' as operator,
   s.document->>'$.lot' as lot,
   coalesce((s.document->>'$.simulated')::boolean, false) as simulated,
-  s.document->>'$.source' as source,
+  case when f.files > 1 then concat(f.first, ' and ', f.files - 1, ' more') else f.first end as source,
   z.time_zone,
   make_timestamp_ns(coalesce(r.arrival_first_ns, s.arrival_ns)) as recorded
 from recorded r
@@ -98,7 +102,8 @@ full join started s using (run)
 left join ended e using (run)
 left join resumed g using (run)
 left join released u using (run)
-left join stated z using (run);
+left join stated z using (run)
+left join files f using (run);
 
 create or replace view steps as
 select

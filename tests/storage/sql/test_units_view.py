@@ -62,3 +62,15 @@ def test_a_run_of_unknown_date_has_no_moment_of_mounting(filler: Filler) -> None
     filler.build()
     with Catalog(filler.store) as catalog:
         assert catalog.rows("select mounted, t_ns, details from units") == [(None, 0, None)]
+
+
+def test_a_run_of_several_files_says_how_many(filler: Filler) -> None:
+    for number, name in enumerate(("a.csv", "b.csv", "a.csv", "c.csv")):  # one has grown and came again
+        filler.document(RunStarted(run="r1", t_ns=START_NS + number, source=f"file {name}"))
+    filler.document(RunStarted(run="r2", t_ns=START_NS, source="file a.csv"))
+    filler.document(RunStarted(run="r3", t_ns=START_NS))
+    filler.seal()
+    filler.build()
+    with Catalog(filler.store) as catalog:
+        found = catalog.rows("select run, source from runs order by run")
+        assert found == [("r1", "file a.csv and 2 more"), ("r2", "file a.csv"), ("r3", None)]
