@@ -2,19 +2,19 @@
 
 import math
 from dataclasses import dataclass, replace
-from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from uuid import UUID
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from analytics.api.values import check_index, rate_of, row_of
 from analytics.curves.allan_curve import AllanCurve, curve_of_points
 from ingest.tables.units import known_unit
+from stream.arguments import path_of, text_of
 from stream.batch import FloatArray, SampleBatch
-from stream.bounds import MAX_INTERVAL_NS
 from stream.defects.longest_gap import LongestGap
 from stream.defects.outliers import count_outliers
 from stream.defects.stillness import Stillness
@@ -29,11 +29,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 _PIECE_SAMPLES = 1_000_000
-_EXACT = 2.0**53  # all integers below are floats
-_OFF_GRID = 0.5  # of an interval
-_OFF_RATE = 1e-3  # of the samples, over a whole index
-_TOO_LARGE = "values are integers from 2**53 on, which floats round: give them less an offset, as x - x[0]"
-_NO_NUMBERS = {"M": "times", "m": "durations", "b": "true and false", "U": "texts", "S": "texts"}
+_OCTAVES = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +73,9 @@ class DeviationCurve:
         """Draw it into a ``.png`` or ``.svg`` file; returns its path."""
         from analytics.plots.allan_plot import plot_allan
 
-        plot_allan([self.curve], Path(path))
-        return Path(path)
+        place = Path(path_of(path, "path"))
+        plot_allan([self.curve], place)
+        return place
 
 
 def allan_deviation(
@@ -117,18 +114,13 @@ def allan_deviation(
     >>> bool((found.lo < found.deviation).all() and (found.deviation < found.hi).all())
     True
     """
-    row = _row_of(values)
-    rate_hz = _rate_of(rate_hz)
+    row = row_of(values)
+    rate_hz = rate_of(rate_hz)
     interval_ns = round(1e9 / rate_hz)
-    _check_index(values, rate_hz)
-    if not isinstance(unit_of_measure, str):
-        raise BadInput(f"unit_of_measure is {unit_of_measure!r}, expected a text such as deg/s")
-    unit_of_measure = known_unit(unit_of_measure)
+    check_index(values, rate_hz)
+    unit_of_measure = known_unit(text_of(unit_of_measure, "unit_of_measure", "a text such as deg/s is expected"))
     check_octave(points_per_octave)
-    try:
-        kind = Deviation(deviation)
-    except ValueError:
-        raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}") from None
+    kind = deviation_named(deviation)
     with FullOverlap() as record:
         still, gap = Stillness(), LongestGap()
         pieces = [row[begin : begin + _PIECE_SAMPLES] for begin in range(0, row.size, _PIECE_SAMPLES)]
@@ -200,85 +192,19 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
     return msgspec.structs.replace(found, **bounds)
 
 
-def _check_index(values: object, rate_hz: float) -> None:
-    """BadInput where a series of pandas has times that are not `rate_hz` apart: its values alone would not show it."""
-    index: Any = getattr(values, "index", None)
-    if getattr(getattr(index, "dtype", None), "kind", "") not in ("M", "m"):
-        return
-    times = np.asarray(index if getattr(index, "tz", None) is None else index.tz_convert(None))
-    steps_s = np.diff(times).astype("timedelta64[ns]").astype(np.int64) / 1e9
-    is_apart = np.isclose(steps_s * rate_hz, 1.0, rtol=0.0, atol=_OFF_GRID)
-    if not is_apart.all():
-        at = int(np.flatnonzero(~is_apart)[0])
-        raise BadInput(
-            f"the index has {steps_s[at]:g} s between samples {at} and {at + 1}, and rate_hz={rate_hz:g} says "
-            f"{1.0 / rate_hz:g} s: sort it, fill what is missing with NaN (series.asfreq), or give the values alone "
-            "(series.to_numpy())"
-        )
-    if not steps_s.size:
-        return
-    elapsed = float((times[-1] - times[0]).astype("timedelta64[ns]").astype(np.int64)) / 1e9 * rate_hz
-    if abs(elapsed - steps_s.size) > max(_OFF_GRID, _OFF_RATE * steps_s.size):
-        raise BadInput(
-            f"the index has {steps_s.size / elapsed * rate_hz:.6g} samples a second on average, and rate_hz is "
-            f"{rate_hz:g}: give its own rate, or the values alone (series.to_numpy())"
-        )
-
-
-def _row_of(values: npt.ArrayLike) -> FloatArray:
-    if isinstance(values, np.ma.MaskedArray):
-        values = np.ma.filled(values.astype(np.float64), np.nan)
-    try:
-        found = np.asarray(values)
-    except ValueError:
-        raise BadInput("values are rows of several lengths: one row of samples of one axis is expected") from None
-    if np.iscomplexobj(found):
-        raise BadInput("values are complex numbers: one real number a sample is expected")
-    is_other = found.dtype.kind in _NO_NUMBERS or (
-        found.dtype.kind == "O" and any(isinstance(e, str) for e in found.flat)
-    )
-    if is_other or values is None:
-        what = "nothing" if values is None else _NO_NUMBERS.get(found.dtype.kind, "texts")
-        raise BadInput(f"values are {what}: one number a sample is expected")
-    try:
-        row = np.ascontiguousarray(found, np.float64)
-    except OverflowError:  # an integer of more than 308 digits
-        raise BadInput(_TOO_LARGE) from None
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"values are not numbers: {error}") from None
-    if _holds_integers(found) and (np.abs(row) >= _EXACT).any():
-        raise BadInput(_TOO_LARGE)
-    if row.ndim != 1:
-        raise BadInput(f"values have the shape {row.shape}: one row of samples of one axis is expected")
-    infinite = np.flatnonzero(np.isinf(row))
-    if infinite.size:
-        raise BadInput(f"value {infinite[0]} is infinite ({infinite.size} in all): give NaN where a sample is missing")
-    return row
-
-
-def _holds_integers(found: npt.NDArray[Any]) -> bool:
-    return found.dtype.kind in "iu" or (found.dtype.kind == "O" and any(isinstance(each, int) for each in found.flat))
-
-
-def _rate_of(rate_hz: object) -> float:
-    """The rate, an array of no dimension as its number."""
-    given = rate_hz.item() if isinstance(rate_hz, np.ndarray) and rate_hz.ndim == 0 else rate_hz
-    if isinstance(given, bool | np.bool) or not isinstance(given, Real):
-        raise BadInput(f"rate_hz is {rate_hz!r}: a number of samples a second is expected")
-    try:
-        found = float(given)
-    except OverflowError:  # an integer of more than 308 digits
-        found = math.inf
-    least = 1e9 / MAX_INTERVAL_NS
-    if not least <= found <= 1e9:
-        raise BadInput(f"rate_hz is {found:g}: samples a second are expected, from {least:.2g} to 1e9")
-    return found
-
-
 def check_octave(points_per_octave: object) -> None:
-    """Refuse what is no whole number of averaging times in an octave, such as True; the number itself comes later."""
-    if isinstance(points_per_octave, bool) or not isinstance(points_per_octave, int | np.integer):
+    """Refuse what is no number of averaging times in an octave, such as 3 or True."""
+    is_number = isinstance(points_per_octave, int | np.integer) and not isinstance(points_per_octave, bool)
+    if not is_number or points_per_octave not in _OCTAVES:
         raise BadInput(f"points_per_octave is {points_per_octave!r}, expected 1, 2, 4 or 8")
+
+
+def deviation_named(name: object) -> Deviation:
+    """The deviation of a name; BadInput if there is none."""
+    try:
+        return Deviation(str(name))
+    except ValueError:
+        raise BadInput(f"no deviation {name!r}: choose one of {', '.join(Deviation)}") from None
 
 
 def deviation_curve(curve: AllanCurve) -> DeviationCurve:

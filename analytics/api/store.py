@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from analytics.api.arrays import DeviationCurve, check_octave, deviation_curve
+from analytics.api.arrays import DeviationCurve, check_octave, deviation_curve, deviation_named
 from ingest.moment import moment_ns
 from storage.sql.door import QueryLimits
 from storage.sql.opened import Answer, OpenedStore, opened_at
+from stream.arguments import optional_text, text_of, texts_of
 from stream.errors import BadInput, StoreError
-from stream.estimators.full_overlap.deviation_forms import Deviation
 
 if TYPE_CHECKING:
     import polars as pl
@@ -120,7 +120,7 @@ class FleetStore:
         from storage.sql.reading import find_signal
 
         self._check_open()
-        record = find_signal(self._sql, unit, signal, run)
+        record = find_signal(self._sql, *_names(unit, signal, run))
         given = {"unit": unit, "signal": signal, "run": record.run}
         from_ns, to_ns = _moment_ns(start, "start"), _moment_ns(stop, "stop")
         if from_ns is not None and to_ns is not None and from_ns >= to_ns:
@@ -145,12 +145,10 @@ class FleetStore:
         from analytics.curves.isolated_outliers import isolated_outliers
         from storage.sql.reading import find_signal
 
-        if deviation not in set(Deviation):
-            raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}")
+        kind = deviation_named(deviation)
         check_octave(points_per_octave)
-        curve = allan_curve(
-            self._catalog, unit, signal, run, points_per_octave=points_per_octave, deviation=Deviation(deviation)
-        )
+        names = _names(unit, signal, run)
+        curve = allan_curve(self._catalog, *names, points_per_octave=points_per_octave, deviation=kind)
         outliers = isolated_outliers(self._catalog, find_signal(self._catalog, unit, signal, curve.run))
         return deviation_curve(replace(curve, outliers=outliers))
 
@@ -179,7 +177,13 @@ class FleetStore:
         from analytics.evaluation.selection import Selection, selected_table
         from analytics.evaluation.type_b import COVERAGE
 
-        asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
+        asked = Selection(
+            units=texts_of(unit, "unit"),
+            lots=texts_of(lot, "lot"),
+            runs=texts_of(run, "run"),
+            metrics=texts_of(metric, "metric"),
+            standards=texts_of(standard, "standard"),
+        )
         found = pl.DataFrame(selected_table(self._catalog, asked).drop_columns(["freedom"]))
         p = pl.when(pl.col("U").is_not_null()).then(COVERAGE).alias("p")
         return found.with_columns(pl.col("parameters").fill_null("{}"), p)
@@ -218,12 +222,12 @@ class FleetStore:
         from analytics.loop.unit_reduction import Question
 
         question = Question(
-            model=model,
-            signal=signal,
-            holdout=None if holdout is None else _each(holdout),
-            runs=None if runs is None else _each(runs),
+            model=text_of(model, "model"),
+            signal=optional_text(signal, "signal"),
+            holdout=None if holdout is None else texts_of(holdout, "holdout"),
+            runs=None if runs is None else texts_of(runs, "runs"),
         )
-        return diagnose_units(self._catalog, [unit], question, on_progress=progress).units[unit]
+        return diagnose_units(self._catalog, [text_of(unit, "unit")], question, on_progress=progress).units[unit]
 
     @property
     def _catalog(self) -> "Catalog":
@@ -262,8 +266,8 @@ def open_store(
     return FleetStore(folder, limits, endpoint_url=endpoint_url)
 
 
-def _each(names: str | Sequence[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
+def _names(unit: object, signal: object, run: object) -> tuple[str, str, str | None]:
+    return text_of(unit, "unit"), text_of(signal, "signal"), optional_text(run, "run")
 
 
 def _moment_ns(moment: str | datetime | np.datetime64 | int | np.integer[Any] | None, name: str) -> int | None:

@@ -7,11 +7,17 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 
 from storage.sql.door import QueryLimits, SqlDoor
+from storage.sql.printable import distinct_names
+from storage.sql.sandbox.guard import plain_message
 from storage.store import Store
+from stream.arguments import optional_text, parameters_of, path_of, text_of
 from stream.closing import Closing
+from stream.errors import BadInput, QueryError
 
 if TYPE_CHECKING:
     import polars as pl
+
+_DAY_US = 86_400_000_000
 
 
 class Answer:
@@ -25,25 +31,57 @@ class Answer:
         return self._table
 
     def polars(self) -> "pl.DataFrame":
-        """As a Polars frame."""
+        """As a Polars frame: intervals as durations, a name that comes again with its position, as ``a_2``.
+
+        QueryError for a column that Polars has no type for.
+        """
         import polars as pl
 
-        return pl.DataFrame(self._table)
+        names = distinct_names(self._table.column_names)
+        columns = [_durations(name, each) for name, each in zip(names, self._table.columns, strict=True)]
+        try:
+            return pl.DataFrame(pa.table(columns, names=names))
+        except pl.exceptions.PolarsError as error:
+            raise QueryError(
+                f"Polars has no type for the result ({plain_message(error)}): cast its columns in the statement, as "
+                "NAME::varchar, or use arrow()"
+            ) from error
 
     def rows(self) -> list[dict[str, object]]:
         """As a list of dictionaries."""
         return list(self._table.to_pylist())
 
 
+def _durations(name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column of intervals as durations, which Polars has; other columns as they are."""
+    if not pa.types.is_interval(column.type):
+        if _holds_intervals(column.type):
+            raise QueryError(f"column {name} holds intervals, which Polars has not: use arrow(), or epoch(...) of each")
+        return column
+    found = [None if each is None else (each.months, each.days, each.nanoseconds) for each in column.to_pylist()]
+    if any(each is not None and each[0] for each in found):
+        raise QueryError(
+            f"column {name} has intervals of months, which are no durations: write {name}::varchar in the statement"
+        )
+    lengths_us = [None if each is None else each[1] * _DAY_US + each[2] // 1000 for each in found]
+    return pa.chunked_array([pa.array(lengths_us, pa.duration("us"))])
+
+
+def _holds_intervals(kind: pa.DataType) -> bool:
+    inner = (kind.field(number).type for number in range(kind.num_fields))
+    return pa.types.is_interval(kind) or any(_holds_intervals(each) for each in inner)
+
+
 def opened_at(folder: str | PathLike[str] | Store, endpoint_url: str | None = None) -> Store:
     """The store in a folder, or whose lake is published at ``s3://BUCKET/PREFIX``."""
     if isinstance(folder, Store):
         return folder
-    if str(folder).startswith("s3:"):
+    place = path_of(folder, "folder")
+    if place.startswith("s3:"):
         from storage.object_lake.published_store import PublishedStore
 
-        return PublishedStore.open_url(str(folder), endpoint_url)
-    return Store.open(Path(folder))
+        return PublishedStore.open_url(place, optional_text(endpoint_url, "endpoint_url"))
+    return Store.open(Path(place))
 
 
 class OpenedStore(Closing):
@@ -59,11 +97,13 @@ class OpenedStore(Closing):
     def __init__(
         self, folder: str | PathLike[str] | Store, limits: QueryLimits | None = None, *, endpoint_url: str | None = None
     ) -> None:
+        if limits is not None and not isinstance(limits, QueryLimits):
+            raise BadInput(f"limits is {limits!r}: QueryLimits(time_s=..., memory_bytes=..., rows=...) is expected")
         self.door = SqlDoor(opened_at(folder, endpoint_url), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Run one statement with its parameters; QueryError if it would not only read, fails, or exceeds limits."""
-        result = self.door.ask(statement, parameters)
+        result = self.door.ask(text_of(statement, "statement"), parameters_of(parameters))
         return Answer(result.read_all(), result.notes)
 
     @property

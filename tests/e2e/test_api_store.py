@@ -5,9 +5,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -94,6 +94,37 @@ def test_a_parameter_that_sql_has_not_is_refused(store: gf.FleetStore, value: ob
     with pytest.raises(QueryError, match="of a kind that SQL has not"):
         store.sql("select $p", {"p": value})
     assert store.sql("select 1 as a").rows() == [{"a": 1}]
+
+
+def test_arguments_of_another_type_are_named(store: gf.FleetStore, folder: Path) -> None:
+    ask: Any = store
+    calls: dict[str, Callable[[], Any]] = {
+        "unit": lambda: ask.samples(["G-1"], "rate"),
+        "signal": lambda: ask.allan("G-1", 3),
+        "run": lambda: ask.samples("G-1", "rate", 3),
+        "no deviation": lambda: ask.allan("G-1", "rate", deviation=["oadev"]),
+        "points_per_octave": lambda: ask.allan("G-1", "rate", points_per_octave=3),
+        "unit is None": lambda: ask.metrics(unit=None),
+        "one lot is 7": lambda: ask.metrics(lot=["L", 7]),
+        "model": lambda: ask.diagnose("G-1", None),
+        "statement is 3": lambda: ask.sql(3),
+        "parameters is 'a'": lambda: ask.sql("select ?", "a"),
+        "folder is None": lambda: gf.open_store(cast("Any", None)),
+        "limits is 3": lambda: gf.open_store(folder / "S", cast("Any", 3)),
+        "path is None": lambda: store.allan("G-1", "rate").plot(cast("Any", None)),
+    }
+    for name, call in calls.items():
+        with pytest.raises(BadInput, match=f"^{name}"):
+            call()
+
+
+def test_a_frame_has_durations_and_names_of_their_own(store: gf.FleetStore) -> None:
+    found = store.sql("select 1 as a, 2 as a, max(time) - min(time) as length from samples where unit = 'G-1'").polars()
+    assert found.row(0) == (1, 2, timedelta(seconds=3699))
+    assert found.columns == ["a", "a_2", "length"]
+    for column in ("interval '1 month'", "[interval '1 day']", "union_value(k := 1)"):
+        with pytest.raises(QueryError, match=r"intervals|Polars has no type"):
+            store.sql(f"select {column} as c").polars()
 
 
 @pytest.mark.parametrize("moment", [np.datetime64("3000-01-01"), np.datetime64("NaT"), True])

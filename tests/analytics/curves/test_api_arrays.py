@@ -83,6 +83,10 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([1.0, 2.0j, 3.0], {}, BadInput, "complex"),
     (np.arange(3).astype("datetime64[s]"), {}, BadInput, "values are times"),
     ([True, False, True], {}, BadInput, "true and false"),
+    ([True, 1.0, 2], {}, BadInput, "true and false"),
+    (np.array([1.0, np.True_, 2], object), {}, BadInput, "true and false"),
+    (np.zeros(9, [("rate", float)]), {}, BadInput, "records of fields"),
+    ([1.0, 2.0, 3.0], {"deviation": ["oadev"]}, BadInput, "choose one of"),
     (["1", "2", "3"], {}, BadInput, "texts"),
     (None, {}, BadInput, "values are nothing"),
     ([1.0, 2.0, 3.0], {"rate_hz": float("nan")}, BadInput, "rate_hz is nan"),
@@ -167,6 +171,17 @@ def test_a_series_whose_times_are_not_the_rate_is_refused() -> None:
         with pytest.raises(BadInput, match="the index has"):
             gf.allan_deviation(wrong, rate_hz)
     assert gf.allan_deviation(series.drop(series.index[10:20]).asfreq("10ms"), 100.0).n[0] < 999
+    times = series.index
+    durations = pd.to_timedelta(np.arange(1000) * 0.01, unit="s")
+    for index in (
+        times.astype(object), zoned.index.astype(object), durations, durations.astype(object), times.to_period("ms"),
+        pd.MultiIndex.from_arrays([["A-1"] * 1000, times]), pd.CategoricalIndex(times),
+    ):  # fmt: skip
+        gf.allan_deviation(pd.Series(values, index=index), 100.0)
+        with pytest.raises(BadInput, match=r"the index has 0\.01 s between samples 0 and 1, and rate_hz=200"):
+            gf.allan_deviation(pd.Series(values, index=index), 200.0)
+    with pytest.raises(BadInput, match=r"the index has no time at sample 3 \(1 in all\)"):
+        gf.allan_deviation(series.set_axis(times.where(np.arange(1000) != 3)), 100.0)
     for short in (series.iloc[:0], series.iloc[:1]):
         with pytest.raises(GyrofleetError, match="sample"):
             gf.allan_deviation(short, 100.0)
