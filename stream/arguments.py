@@ -13,9 +13,19 @@ def text_of(value: object, name: str, expected: str = "a text is expected") -> s
     Traceback (most recent call last):
     stream.errors.BadInput: unit is 3: a text is expected
     """
-    if isinstance(value, str):
-        return value
-    raise BadInput(f"{name} is {value!r}: {expected}")
+    if not isinstance(value, str):
+        raise BadInput(f"{name} is {value!r}: {expected}")
+    if not value.isascii() and not _is_utf8(value):
+        raise BadInput(f"{name} is {value!r}: half of a surrogate pair in it is no character")
+    return str(value)  # NumPy has texts of its own
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def optional_text(value: object, name: str) -> str | None:
@@ -30,7 +40,7 @@ def texts_of(value: object, name: str) -> tuple[str, ...]:
     (('A-1',), ('A-1', 'A-2'))
     """
     if isinstance(value, str):
-        return (value,)
+        return (text_of(value, name),)
     expected = "a text is expected, or several; leave it out for all"
     if not isinstance(value, Iterable):
         raise BadInput(f"{name} is {value!r}: {expected}")
@@ -40,7 +50,10 @@ def texts_of(value: object, name: str) -> tuple[str, ...]:
 def path_of(value: object, name: str) -> str:
     """The value as the text of a path."""
     found = fspath(value) if isinstance(value, str | PathLike) else None
-    return text_of(value if found is None else found, name, "a path is expected, as a text or pathlib.Path")
+    path = text_of(value if found is None else found, name, "a path is expected, as a text or pathlib.Path")
+    if "\0" in path:
+        raise BadInput(f"{name} is {path!r}: no path has a null character")
+    return path
 
 
 def parameters_of(value: object) -> object:

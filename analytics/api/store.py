@@ -221,6 +221,8 @@ class FleetStore:
         from analytics.loop.unit_diagnosis import diagnose_units
         from analytics.loop.unit_reduction import Question
 
+        if not callable(progress):
+            raise BadInput(f"progress is {progress!r}: a function of one text is expected")
         question = Question(
             model=text_of(model, "model"),
             signal=optional_text(signal, "signal"),

@@ -107,9 +107,12 @@ def test_arguments_of_another_type_are_named(store: gf.FleetStore, folder: Path)
         "unit is None": lambda: ask.metrics(unit=None),
         "one lot is 7": lambda: ask.metrics(lot=["L", 7]),
         "model": lambda: ask.diagnose("G-1", None),
+        "progress": lambda: ask.diagnose("G-1", "rate = bias", progress=3),
         "statement is 3": lambda: ask.sql(3),
+        "statement is .* surrogate pair": lambda: ask.sql("select '\ud800'"),
         "parameters is 'a'": lambda: ask.sql("select ?", "a"),
         "folder is None": lambda: gf.open_store(cast("Any", None)),
+        "folder is .* null character": lambda: gf.open_store("a\0b"),
         "limits is 3": lambda: gf.open_store(folder / "S", cast("Any", 3)),
         "path is None": lambda: store.allan("G-1", "rate").plot(cast("Any", None)),
     }

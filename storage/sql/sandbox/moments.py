@@ -76,7 +76,10 @@ def _has_offset(text: object) -> bool:
 def _without_zones(value: object) -> Any:
     """The value, with datetimes that have a zone as UTC without one."""
     if isinstance(value, datetime):
-        return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)
+        try:
+            return value if value.tzinfo is None else value.astimezone(UTC).replace(tzinfo=None)
+        except OverflowError:  # before the year 1 or after 9999 in UTC
+            raise QueryError(f"the moment {value} has no date in UTC: give one between the years 1 and 9999") from None
     if isinstance(value, Mapping):
         return {name: _without_zones(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

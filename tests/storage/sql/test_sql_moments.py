@@ -97,6 +97,8 @@ def test_a_datetime_with_a_zone_is_its_instant(connection: duckdb.DuckDBPyConnec
     at = datetime(2026, 11, 20, 8, 0, 10, tzinfo=timezone(timedelta(hours=8)))
     assert asked(connection, "select time = $p from s", {"p": at})
     assert asked(connection, "select us = any($p) from s", {"p": [at]})
+    with pytest.raises(QueryError, match="no date in UTC"):
+        in_utc(connection, "select $p", {"p": datetime.min.replace(tzinfo=at.tzinfo)})
 
 
 def test_a_zone_that_nobody_knows_is_refused(connection: duckdb.DuckDBPyConnection) -> None:
