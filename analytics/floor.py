@@ -214,7 +214,9 @@ class Floor:
                     self.changed.add(unit.unit)
             case StationStated():
                 run = self._run(document.run, place, arrival_ns)
-                run.time_zone = document.details.get("time_zone", run.time_zone)
+                stated = document.details
+                run.time_zone = stated.get("time_zone", run.time_zone)
+                run.place = Place(stated.get("site", run.place.site), stated.get("station", run.place.station))
             case LimitsApplied():
                 run = self._run(document.run, place, arrival_ns)
                 run.limits[document.unit] = document.limits

@@ -32,6 +32,9 @@ class Place(NamedTuple):
     station: str
 
 
+UNSTATED = Place("local", "files")  # of imported files, where nobody says where they were measured
+
+
 class SampleKey(NamedTuple):
     """The parts of a samples' key expression."""
 

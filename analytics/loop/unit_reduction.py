@@ -25,8 +25,8 @@ from stream.estimators.base import NoEstimate
 
 _LARGEST = 1e50
 _STATIONS = """
-select unit, run, any_value(station order by station) from signals
-where signal = $signal and unit in (select unnest($units)) and station is not null group by unit, run
+select s.unit, s.run, any_value(r.station) from signals s join runs r using (run)
+where s.signal = $signal and s.unit in (select unnest($units)) and r.station is not null group by s.unit, s.run
 """
 GIVEN = Bilingual("as given", "用户给定")
 OWN_FITS = Bilingual("the unit's own Allan fits", "产品自身的Allan拟合")

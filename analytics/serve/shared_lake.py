@@ -39,7 +39,7 @@ SERVED = {
 
 # those that are made of documents alone, of these kinds
 SERVED_OF = {
-    "served_units": ("RunStarted", "UnitMounted"),
+    "served_units": ("RunStarted", "StationStated", "UnitMounted"),
     "served_verdicts": ("VerdictGiven",),
     "served_releases": ("UnitReleased",),
 }

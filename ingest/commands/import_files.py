@@ -23,6 +23,8 @@ from stream.terminal.security_options import secured
 from stream.worker.compile_kernels import compile_new_kernels
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ingest.can.mapping import CanMapping
     from ingest.tables.columns import TableOptions
     from ingest.tables.sample_file import SampleFile
@@ -187,27 +189,38 @@ def _warn_of_words(procedure: str | None, position: str | None) -> None:
 
 
 def _stated_place(site: str | None, station: str | None, location: dict[str, Any]) -> "tuple[Place, dict[str, str]]":
-    """Site and station, and the location that the runs record: of the station's file, overridden by options."""
+    """Site and station, and what the runs record of them: of the station's file, overridden by options."""
     from msgspec.structs import replace
 
-    from stream.identity import Place, check_name
+    from stream.identity import UNSTATED, Place, check_name
 
     is_file = station is not None and Path(station).suffix.lower() == ".toml"
-    if not is_file and all(value is None for value in location.values()):
-        return Place(check_name("site", site or "local"), check_name("station", station or "files")), {}
+    place = UNSTATED
+    named: dict[str, str] = {}
+    if not is_file:
+        place = Place(check_name("site", site or UNSTATED.site), check_name("station", station or UNSTATED.station))
+        named = _named({"site": site, "station": station})
+        if all(value is None for value in location.values()):
+            return place, named
     from ingest.station.station import StationLocation, load_station
 
     given = StationLocation(**location)
     given.check(_LOCATION_OPTIONS.__getitem__)
     if station is None or not is_file:
-        return Place(check_name("site", site or "local"), check_name("station", station or "files")), given.details
+        return place, given.details | named
     found = load_station(Path(station))
     if site is not None and site != found.place.site:
         raise BadInput(f"--site is {site!r}, but {station} says {found.place.site!r}; leave out --site")
     stated = {name: value for name, value in location.items() if value is not None}
     if stated.keys() & {"latitude_deg", "altitude_m"}:
         stated["gravity_m_per_s2"] = None  # measured gravity does not hold at another latitude or altitude
-    return found.place, replace(found.table, **stated).details | found.standards_details
+    named = _named(found.place._asdict())
+    return found.place, replace(found.table, **stated).details | found.standards_details | named
+
+
+def _named(names: "Mapping[str, str | None]") -> dict[str, str]:
+    """Details of a run that say where it was measured; what is not given states nothing."""
+    return {name: text for name, text in names.items() if text}
 
 
 def _is_can_log(path: Path) -> bool:

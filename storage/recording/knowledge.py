@@ -14,6 +14,7 @@ from storage.store import Store
 from stream.batch import FloatArray, IntArray
 from stream.decoding import decode_json
 from stream.events import UnitMounted
+from stream.identity import UNSTATED
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
@@ -91,7 +92,7 @@ class CatalogKnowledge:
         known = of_runs("select uid from events where (kind like 'Step%' or kind = 'RunStarted') and")
         mounted = of_runs("select document from events join units using (run, unit, uid) where")
         stated = of_runs(
-            "select run, document->>'$.details' from internal.lake_documents "
+            "select run, kind, site, station, document->>'$.details' from internal.lake_documents "
             "where kind in ('RunStarted', 'StationStated') and",
             "order by run, case kind when 'RunStarted' then -arrival_ns else arrival_ns end",
         )
@@ -99,8 +100,10 @@ class CatalogKnowledge:
             'select unit, run, "procedure", position, t_start_ns, coalesce(t_end_ns, t_start_ns) from steps where'
         )
         details: dict[str, dict[str, str]] = {}
-        for run, text in stated:
-            details.setdefault(str(run), {}).update(json.loads(text or "{}"))
+        for run, kind, site, station, text in stated:
+            began = zip(("site", "station"), (site, station), UNSTATED, strict=True)
+            began_at = {name: given for name, given, default in began if kind == "RunStarted" and given != default}
+            details.setdefault(str(run), {}).update(began_at | json.loads(text or "{}"))
         return KnownRuns(
             dated={str(run): bool(is_dated) for run, is_dated, _ in found},
             open=[str(run) for run, _, is_open in found if is_open], uids=[str(uid) for (uid,) in known],

@@ -52,9 +52,12 @@ with started as (
   from (select run, arrival_ns, document->>'$.source' as source from internal.lake_documents where kind = 'RunStarted')
   group by run
 ), stated as (
-  select run, arg_max(document->>'$.details.time_zone', arrival_ns) as time_zone
+  select run, arg_max(document->>'$.details.time_zone', arrival_ns) as time_zone,
+    -- a run begins where the key of its start says, and another place may be stated later
+    arg_max(document->>'$.details.site', arrival_ns) filter (kind = 'StationStated') as site,
+    arg_max(document->>'$.details.station', arrival_ns) filter (kind = 'StationStated') as station
   from internal.lake_documents
-  where kind in ('RunStarted', 'StationStated') and document->>'$.details.time_zone' is not null
+  where kind in ('RunStarted', 'StationStated')
   group by run
 ), released as (
   select run, count(distinct unit) as units,
@@ -73,8 +76,8 @@ with started as (
 )
 select
   run,
-  coalesce(s.site, r.site) as site,
-  coalesce(s.station, r.station) as station,
+  coalesce(z.site, s.site, r.site) as site,
+  coalesce(z.station, s.station, r.station) as station,
   coalesce((s.document->>'$.date_known')::boolean, true) as date_known,
   case when coalesce((s.document->>'$.date_known')::boolean, true)
     then make_timestamp_ns(coalesce(s.t_ns, r.t_first_ns)) end as started,

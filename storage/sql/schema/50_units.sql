@@ -14,6 +14,11 @@ with mounted as (
     coalesce((document->>'$.date_known')::boolean, true) as date_known
   from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
+), stated as (
+  select run,
+    arg_max(document->>'$.details.site', arrival_ns) as site,
+    arg_max(document->>'$.details.station', arrival_ns) as station
+  from internal.lake_documents where kind = 'StationStated' group by run
 ), listed as (
   select * from mounted
   union all
@@ -34,5 +39,5 @@ select
   (m.document->'$.details')::varchar as details,
   case when coalesce(s.date_known, true) then make_timestamp_ns(m.t_ns) end as mounted,
   m.mountings,
-  m.site, m.station, m.t_ns, m.uid
-from listed m left join started s using (run);
+  coalesce(p.site, m.site) as site, coalesce(p.station, m.station) as station, m.t_ns, m.uid
+from listed m left join started s using (run) left join stated p using (run);

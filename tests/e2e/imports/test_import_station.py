@@ -148,3 +148,23 @@ def test_words_that_no_procedure_has_are_told(ask: Callable[..., Outcome]) -> No
     assert ", did you mean static_bias? the step is judged by its position alone" in reported
     assert "warning: --position IRA_sideways is none of" in reported
     assert "IRA_up" in reported.partition("IRA_sideways is none of")[2]
+
+
+def test_a_station_that_is_stated_later_is_that_of_the_run(ask: Callable[..., Outcome]) -> None:
+    again = ("import", "unknown.csv", "--unit", "U-UNKNOWN", "--start", START, *UP)
+    found = "select distinct site, station from {} where run = 'unknown'"
+    tables = ("runs", "units", "unit_runs")
+    assert [ask("sql", found.format(each), "--json").json for each in tables] == [
+        [{"site": "local", "station": "files"}]
+    ] * 3
+    ask(*again, "--station", "bench.toml")
+    assert [ask("sql", found.format(each), "--json").json for each in tables] == [
+        [{"site": "plant", "station": "bench-7"}]
+    ] * 3
+    refused = ask(*again, "--station", "pier-2", code=1)
+    assert "run unknown is stored with station bench-7, now it is pier-2" in " ".join(refused.err.split())
+    ask(*again, "--station", "pier-2", "--restate")
+    assert ask("sql", found.format("runs"), "--json").json == [{"site": "plant", "station": "pier-2"}]
+    # one that was stated when the run began is refused likewise
+    known = ("import", "known.csv", "--unit", "U-KNOWN", "--start", START, *UP, "--station", "pier-2")
+    assert "stored with station bench-7, now it is pier-2" in " ".join(ask(*known, code=1).err.split())
