@@ -27,6 +27,7 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         parameters = {
             "temperature": None if row["temperature"] is None else round(row["temperature"], 2),
             "output": None if zero is None else zero * row["k"], "output_unit": row["output_unit"],
+            "remark": row["remark_on_range"],
         }  # fmt: skip
         yield row | {
             "parameters": row["words"] | parameters,

@@ -5,7 +5,7 @@
 -- better:    neither
 -- grain:     unit, signal, run, position, temperature, repeat, visit
 -- parameters: procedure, repeat, temperature_command, room, position, axis, phase, visit, temperature, output
--- parameters: output_unit
+-- parameters: output_unit, remark
 -- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
@@ -19,5 +19,5 @@
 select unit, signal, run, position, steps, standard,
   case standard when 'GJB2426A' then '5.8.1 (6)' when 'JJF2014' then '7.2.1 (5)' else '7.1 (15)' end as clause,
   n, words, lack as reason, k, zero, rest_zero, points, rests, rest_before, rest_after,
-  zero_weights, slope_weights, temperature, output_unit
+  zero_weights, slope_weights, temperature, output_unit, remark_on_range
 from scale_results('internal.scale_fits')

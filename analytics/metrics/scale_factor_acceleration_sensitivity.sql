@@ -36,14 +36,15 @@ with forced as (
     mean_line(list(line order by steps) filter (pointing = 'down')) as down,
     list(coalesce(position || ': ', '') || lack order by steps) filter (lack is not null) as lacks,
     flatten(list(steps order by steps)) as steps, sum(n)::bigint as n,
-    bool_or(starts_with("procedure", 'scale_factor_acceleration')) as is_asked
+    bool_or(starts_with("procedure", 'scale_factor_acceleration')) as is_asked,
+    remark_on_ranges(list(remark_on_range)) as ranges
   from placed group by all
 ), turned as (
   select *, slope_difference(up, struct_pack(k := down.k * sign(up.k * down.k), u_k := down.u_k,
       freedom_k := down.freedom_k, residuals := [r * sign(up.k * down.k) for r in down.residuals],
       slope_weights := down.slope_weights, u := down.u, freedoms := down.freedoms, points := down.points,
       temperature := down.temperature), 1) as difference,
-    remark_on_temperatures(up, down, 'up', 'down') as remark,
+    nullif(concat_ws('; ', remark_on_temperatures(up, down, 'up', 'down'), ranges), '') as remark,
     case
       when up is null then 'not measured with the IRA up: the clause asks for up and down (7.2.6.1 c)'
       when down is null then 'not measured with the IRA down: the clause asks for up and down (7.2.6.1 c)'

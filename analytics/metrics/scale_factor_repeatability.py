@@ -48,7 +48,7 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
     for at, (row, mean) in enumerate(zip(rows, means, strict=True)):
         parameters = {"scale_factors": len(row["scales"] or []), "mean": mean}
         parameters["days"] = len(set(row["days"] or [])) if row["is_dated"] else None
-        parameters["remark"] = row["stations"]
+        parameters["remark"] = row["remark"]
         for kind, (estimates, reasons) in of_kinds.items():
             reason = _lack(row, int(found.values[at]), kind) or reasons[at]
             value = {name: float(each[at]) for name, each in estimates._asdict().items()} if reason is None else {}

@@ -51,7 +51,8 @@ select unit, signal, scope as run, standard, if(standard = 'GJB2426A', '5.8.4 (1
   list(freedom order by t_from_ns, run, steps) filter (lack is null) as freedoms,
   list(coalesce(day, 'run ' || run) order by t_from_ns, run, steps) filter (lack is null) as days,
   bool_and(day is not null) as is_dated,
-  stations_remark(list(station) filter (lack is null)) as stations,
+  nullif(concat_ws('; ', stations_remark(list(station) filter (lack is null)),
+    remark_on_ranges(list(remark_on_range) filter (lack is null))), '') as remark,
   list(distinct run order by run) as runs,
   flatten(list(steps order by run, t_from_ns, steps)) as steps,
   min('run ' || run || ': ' || lack) as lack

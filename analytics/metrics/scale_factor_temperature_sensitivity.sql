@@ -54,8 +54,9 @@ with forced as (
     list({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points, temperature: temperature} order by steps) filter (is_room) as rooms,
     list(coalesce(format('{:.1f} degC: ', temperature), '') || lack order by steps) filter (lack is not null) as lacks,
-    case when min(left_out) > 0 then
-      min(left_out) || ' visits to a temperature have no scale factor, and are left out' end as remark,
+    nullif(concat_ws('; ', case when min(left_out) > 0 then
+      min(left_out) || ' visits to a temperature have no scale factor, and are left out' end,
+      remark_on_ranges(list(remark_on_range))), '') as remark,
     min(nearest) as nearest, flatten(list(steps order by steps)) as steps, sum(n)::bigint as n
   from marked group by all
 ), compared as (

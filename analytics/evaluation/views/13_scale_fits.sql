@@ -123,10 +123,11 @@ create or replace macro lack_of_answer(points, k, u_k, freedom_k) as
       format('the output does not depend on the rate: K is {:.3g} with a standard uncertainty of {:.3g}, and may be 0', k, u_k)
   end;
 
-create or replace macro remark_on_points(points) as
-  nullif(concat_ws('; ', case when list_bool_or([p.stands_still for p in points]) then
-    'the output stands still at ' || len([p for p in points if p.stands_still]) || ' of ' || len(points) || ' rates: it is '
-    || 'frozen, or its resolution too coarse to show noise' end,
+create or replace macro remark_on_points(points, remark_on_range) as
+  nullif(concat_ws('; ', remark_on_range, case when list_bool_or([p.stands_still for p in points]) then
+    'the output stands still at ' || len([p for p in points if p.stands_still]) || ' of ' || len(points) || ' rates'
+    || if(still_at_largest(points), ', the largest ones: it is clipped at an end of its range, or frozen',
+      ': it is frozen, or its resolution too coarse to show noise') end,
     -- the zero and K follow the temperature: where it follows the rate, the line takes it in without a residual
     case when list_max([p.temperature for p in points]) - list_min([p.temperature for p in points]) > 2 then
       format('the temperature moved by {:.1f} degC from rate to rate: what it does to the output is in the value, and the interval '
@@ -180,7 +181,8 @@ with sided as (
     case when output_unit = 'deg/s' then '1' when ends_with(output_unit, '/s') then output_unit[:-3] || '/deg'
       else output_unit || '/(deg/s)' end as k_unit,
     lack_of_answer(points, k, u_k, freedom_k) as lack_of_answer,
-    remark_on_points(points) as remark_on_points,
+    remark_on_short(e.commands, e.most) as remark_on_range,
+    remark_on_points(points, remark_on_range) as remark_on_points,
     lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
     lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
     lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,
@@ -197,6 +199,7 @@ with sided as (
     case when len(forwards) + len(backwards) > 11 then
       len(forwards) + len(backwards) || ' rates: the clause has 7 to 11 (7.1.1 c)' end as jjf1536_remark
   from sided s left join other o using (run, unit, signal, steps)
+    left join range_ends(source) e using (run, unit, signal, steps)
   where s.side = 'both'
 )
 select *,

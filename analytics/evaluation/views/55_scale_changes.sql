@@ -26,11 +26,12 @@ with forced as (
     mean_line(list(line order by steps) filter (lower(phase) = 'before')) as before,
     mean_line(list(line order by steps) filter (lower(phase) = 'after')) as after,
     list(lower(phase) || ': ' || lack order by steps) filter (lack is not null) as lacks,
-    flatten(list(steps order by steps)) as steps, sum(n)::bigint as n
+    flatten(list(steps order by steps)) as steps, sum(n)::bigint as n,
+    remark_on_ranges(list(remark_on_range)) as ranges
   from phased group by all
 ), compared as (
   select *, slope_difference(after, before, 1) as difference,
-    remark_on_temperatures(before, after, 'before it', 'after it') as remark,
+    nullif(concat_ws('; ', remark_on_temperatures(before, after, 'before it', 'after it'), ranges), '') as remark,
     case
       when before is null then 'axis ' || along || ': not measured before it'
       when after is null then 'axis ' || along || ': not measured after it'

@@ -18,7 +18,7 @@ create or replace table internal.scale_fits (
   freedoms double[]), "minus" struct(k double, u_k double, freedom_k double, residuals double[], sxx double,
   n_points bigint, points struct("index" bigint, command double, rate double, output double, u double, freedom
   double, temperature double, stands_still boolean, lasts_s double)[], slope_weights double[], u double[], freedoms double[]), "rest_zero"
-  double, "k_unit" varchar, "lack_of_answer" varchar, "remark_on_points" varchar, "gjb_directions" varchar, "jjf_directions" varchar,
+  double, "k_unit" varchar, "lack_of_answer" varchar, "remark_on_range" varchar, "remark_on_points" varchar, "gjb_directions" varchar, "jjf_directions" varchar,
   "lack_of_range" varchar, "lack_of_rest" varchar, "jjf1536_lack" varchar, "jjf1536_remark" varchar, "gjb_reason"
   varchar, "jjf_reason" varchar, "jjf1536_reason" varchar, "words" struct("procedure" varchar, repeat bigint,
   temperature_command double, room boolean, "position" varchar, axis varchar, phase varchar, visit bigint)

@@ -94,6 +94,43 @@ def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(test
     assert bool(abs(expected["scale_factor_asymmetry"]) < 1.0) is (order == "and back again")
 
 
+def saturated(rate: float) -> float:
+    return float(np.clip(1.00005 * rate + 0.003, -180.0, 180.0))
+
+
+def test_an_output_that_no_longer_follows_the_rate_is_named(tested: Any, table: Callable[..., Table]) -> None:
+    """Saturated at 180 deg/s with noise on top, clipped there, and a cube of 1000 ppm of the span without an edge."""
+    table(gyro=saturated, run="saturated").rates(procedure="scale_factor")
+    table(gyro=lambda rate: min(rate, 290.0), run="one way").rates(procedure="scale_factor")
+    table(gyro=lambda rate: rate * (1 - 5e-3 * (rate / 300) ** 2), run="cubic").rates(procedure="scale_factor")
+    few = [sign * rate for rate in RATES[-3:] for sign in (1, -1)]
+    table(gyro=lambda rate: rate * (1 - 5e-3 * (rate / 300) ** 2), run="few").rates(few, procedure="scale_factor")
+    clipped = table(gyro=saturated, run="clipped")
+    for rate in (0.0, *BOTH, 0.0):
+        clipped.step(rate, noise=1e-300 if abs(rate) > 180 else None, procedure="scale_factor")
+    remarks = {(row["run"], row["standard"]): row["remark"] or "" for row in tested.metric("scale_factor")}
+    both_ways = "the output no longer follows the rate at -300, -250, 250, 300 deg/s: it falls up to 40 % short"
+    for standard in ("GJB2426A", "JJF2014"):
+        assert remarks["saturated", standard].startswith(both_ways)
+        assert remarks["one way", standard].startswith("the output no longer follows the rate at 300 deg/s: ")
+        assert remarks["cubic", standard] == remarks["few", standard] == ""
+        assert remarks["clipped", standard].startswith(both_ways)
+        assert (
+            "stands still at 4 of 22 rates, the largest ones: it is clipped at an end of"
+            in remarks["clipped", standard]
+        )
+    named = tested.metric("scale_factor_repeatability")
+    assert "largest rates of 3 of 4 scale factors the output no longer follows the rate" in named[0]["remark"]
+
+
+@pytest.mark.long
+def test_the_other_metrics_of_a_saturated_output_name_it_too(tested: Any, table: Callable[..., Table]) -> None:
+    table(gyro=saturated).rates(procedure="scale_factor")
+    for metric in ("scale_factor_nonlinearity", "scale_factor_asymmetry", "fitted_zero"):
+        for row in tested.metric(metric):
+            assert row["remark"].startswith("the output no longer follows the rate at -300, -250, 250, 300 deg/s")
+
+
 @pytest.mark.long
 def test_from_a_file_to_the_answer(tmp_path: Path, run_command: Callable[..., Any]) -> None:
     """A table that reports its rate to 0.01 %, in a chamber that warms by 8 degC."""
