@@ -9,7 +9,7 @@
 -- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
--- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K; about an axis that points down, -F0/K where K < 0
+-- equation:  JJF 2014: F0/K, F0 = mean(F_j) - K mean(Omega_j), the zero with Earth's rate; GJB 2426A, JJF 1536: (F0 - F_r)/K, less the mean F_r of the rests before and after; about an axis that points down, of the other sign where K < 0
 -- influence: rate: per_ppm(value)
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- influence: voltage_offset: if(standard = 'JJF2014', coalesce(abs(value / nullif((parameters->>'$.output')::double, 0)) / volt, 0), 0)
