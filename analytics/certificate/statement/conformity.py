@@ -4,12 +4,13 @@ ISO/IEC 17025:2017 7.8.6: to which results it applies, which specifications are 
 """
 
 import json
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 
-from analytics.certificate.statement.results import Result, ResultRow, conditions_of, symbol_of
+from analytics.certificate.statement.results import Result, ResultRow, conditions_of, rounded_to, symbol_of
 from analytics.certificate.statement.words import Words
 from analytics.evaluation.reasons import in_chinese
 from analytics.specifications.verdicts import values_of
@@ -35,12 +36,13 @@ _RULES = {
     ),
     "guarded_acceptance": Words(
         "guarded acceptance (JCGM 106, 8.3.2): conforms where the result is inside the limits by at least the guard "
-        "band",
-        "保护带接受（JCGM 106，8.3.2）：结果在限值内且距限值不小于保护带为符合",
+        "band, a multiple of U as it is stated, rounded up",
+        "保护带接受（JCGM 106，8.3.2）：结果在限值内且距限值不小于保护带为符合；保护带为所给 U（向上修约）的倍数",
     ),
     "guarded_rejection": Words(
-        "guarded rejection (JCGM 106, 8.3.3): does not conform where the result is outside by more than the guard band",
-        "保护带拒绝（JCGM 106，8.3.3）：结果超出限值的量大于保护带为不符合",
+        "guarded rejection (JCGM 106, 8.3.3): does not conform where the result is outside by more than the guard "
+        "band, a multiple of U as it is stated, rounded up",
+        "保护带拒绝（JCGM 106，8.3.3）：结果超出限值的量大于保护带为不符合；保护带为所给 U（向上修约）的倍数",
     ),
 }
 
@@ -65,6 +67,7 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
     conformity: float | None  # probability
     reason: str
     revision: str
+    expanded: float | None = None  # U as it is stated, where that is in the unit of the limits
 
     @property
     def text(self) -> Words:
@@ -73,7 +76,9 @@ class Judged(msgspec.Struct, frozen=True, kw_only=True):
         limits = self._limits()
         en, zh = f"{limits.en}: {en}", f"{limits.zh}：{zh}"
         if self.decision_rule.startswith("guarded") and self.guard is not None:
-            width = f"{abs(self.guard):.3g} {symbol_of(self.unit_of_measure)}".strip()
+            width = f"{_width(abs(self.guard))} {symbol_of(self.unit_of_measure)}".strip()
+            if self.expanded:
+                width += f" ({abs(self.guard) / self.expanded:.4g} U)"
             en, zh = f"{en}; guard band {width}", f"{zh}；保护带 {width}"
         if self.conformity is not None:
             share = _probability(self.conformity)
@@ -151,7 +156,7 @@ def read_conformity(catalog: Catalog, unit: str, specification: str, rows: Itera
         judged.append(
             Judged(
                 name=row.name, signal=result.signal, conditions=result.conditions, reason=verdict["reason"] or "",
-                **stated,
+                expanded=result.expanded if result.unit_of_measure == verdict["unit_of_measure"] else None, **stated,
             )
         )  # fmt: skip
     return Conformity(specification, tuple(judged), tuple(left))
@@ -168,6 +173,16 @@ def _key_of(verdict: dict[str, Any]) -> _Key:
     runs = tuple(verdict["runs"] or ([verdict["run"]] if verdict["run"] else []))
     conditions = conditions_of(json.loads(verdict["parameters"] or "{}"))
     return verdict["metric"], verdict["signal"] or "", runs, conditions.en
+
+
+def _width(guard: float) -> str:
+    """A guard band with the two digits of the U that it is, or with more where it is a multiple.
+
+    >>> _width(0.03), _width(0.00011), _width(1.5 * 0.00011)
+    ('0.030', '0.00011', '0.000165')
+    """
+    text = rounded_to(guard, guard)
+    return text if math.isclose(float(text), guard, rel_tol=1e-9) else f"{guard:.6g}"
 
 
 def _probability(share: float) -> str:

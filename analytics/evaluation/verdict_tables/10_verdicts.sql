@@ -159,7 +159,7 @@ with candidate as materialized (
   from step_means where n < 0.9 * expected and lacks_samples(n, expected) group by run, unit, signal
 ), converted as (                       -- in the unit of the limit
   select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi,
-    c."U" * abs(f.factor) as v_u_expanded, coalesce(c."U" / c.k, c.standard_uncertainty) * abs(f.factor) as v_u,
+    c."U" * abs(f.factor) as v_u_expanded, stated_uncertainty(c."U") * abs(f.factor) as v_u_stated, coalesce(c."U" / c.k, c.standard_uncertainty) * abs(f.factor) as v_u,
     case when c."U" is null then c.freedom else c.nu end as v_nu
   from candidate c
   left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
@@ -169,10 +169,10 @@ with candidate as materialized (
     case when decision_rule = 'interval' and v_lo is not null then least(v_lo, v - v_u_expanded) else v_lo end as v_lo,
     case when decision_rule = 'interval' and v_hi is not null then greatest(v_hi, v + v_u_expanded) else v_hi end as v_hi)
   from converted
-), guarded as (                         -- width of the guard band of JCGM 106 8.3, towards the inside
+), guarded as (                         -- width of the guard band of JCGM 106 8.3, towards the inside, of U as it is printed
   select *,
-    case decision_rule when 'guarded_acceptance' then guard_factor * v_u_expanded
-      when 'guarded_rejection' then -guard_factor * v_u_expanded else 0.0 end as guard
+    case decision_rule when 'guarded_acceptance' then guard_factor * v_u_stated
+      when 'guarded_rejection' then -guard_factor * v_u_stated else 0.0 end as guard
   from widened
 ), by_value as (
   select *,
@@ -180,7 +180,7 @@ with candidate as materialized (
       when v is null then 'NO_DATA'
       when decision_rule <> 'interval' then
         case when guard is null or (decision_rule = 'shared_risk' and v_u_expanded is null) then 'NO_DATA'
-          when decision_rule = 'shared_risk' and v_u_expanded > "largest_U" then 'MARGINAL'
+          when decision_rule = 'shared_risk' and v_u_stated > "largest_U" * (1 + 1e-9) then 'MARGINAL'
           when v > upper - guard or v < lower + guard then 'FAIL'
           else 'PASS' end
       when v_lo > upper or v_hi < lower then 'FAIL'
@@ -242,7 +242,7 @@ with candidate as materialized (
       when v is null then 'the value is in ' || unit_of_measure || ', the limit in ' || limit_unit
       when by_value = 'NO_DATA' then 'no U, which the rule ' || decision_rule || ' needs: ' || coalesce(uncertainty_reason, '')
       when decision_rule = 'shared_risk' and verdict = 'MARGINAL' then format('U = {:.3g} is more than the {:.3g} up to '
-        || 'which risks are shared: measure with a smaller one', v_u_expanded, "largest_U")
+        || 'which risks are shared: measure with a smaller one', v_u_stated, "largest_U")
       when by_value = 'PASS' and verdict = 'MARGINAL'
         then samples || ' of ' || expected || ' samples of its record are there: a PASS needs nine tenths'
       when decision_rule = 'guarded_acceptance' and verdict = 'FAIL' and (upper is null or v <= upper)

@@ -13,3 +13,10 @@ create or replace macro normal_cdf(z) as
 create or replace macro student_cdf(t, freedom) as
   normal_cdf(sign(t) * (8 * least(freedom, 1e9) + 1) / (8 * least(freedom, 1e9) + 3)
     * sqrt(least(freedom, 1e9) * ln(1 + t * t / least(freedom, 1e9))));
+
+-- U as it is printed: rounded up to two digits, but for what is immaterial (JCGM 100 7.2.6, as `round_up` in Python).
+create or replace macro stated_uncertainty(u) as
+  case when u > 0 and isfinite(u) then list_transform([{place: floor(log10(u))::int - 1}],
+    lambda q_: (if(u / pow(10.0, q_.place) - round(u / pow(10.0, q_.place)) between 0 and u / pow(10.0, q_.place) * 0.002,
+      round(u / pow(10.0, q_.place)), ceil(u / pow(10.0, q_.place) - 1e-9))::bigint || 'e' || q_.place)::double)[1]
+  else u end;

@@ -9,6 +9,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from analytics.certificate.statement.results import rounded_to
+from analytics.uncertainty.rounding import round_up
 from tests.analytics.certificate.conftest import ORDER, ORDERED, UNIT
 from tests.analytics.certificate.pdf_checks import pages_of
 
@@ -39,7 +41,15 @@ def test_outcome_limits_and_decision_rule_are_stated(
     text = printed(folder / "signed.pdf")
     assert "VG-20,A" in text
     assert "0.999...1.001:conforms" in text
-    assert f"guardband{of['scale_factor']['guard']:.3g}" in text
+    (stated,) = [
+        row
+        for row in run_command("metrics", "--unit", UNIT, "--store", "lab", "--json", cwd=folder).json
+        if row["metric"] == "scale_factor" and row["standard"] == "JJF2014"
+    ]
+    as_printed = round_up(stated["U"])
+    assert of["scale_factor"]["guard"] == as_printed != stated["U"], "rebuilt from the U that is printed"
+    assert f"guardband{rounded_to(as_printed, as_printed)}(1U)" in text
+    assert "amultipleofUasitisstated" in text
     assert "guardedacceptance(JCGM106,8.3.2)" in text
     assert "-0.5...0.5°/h:doesnotconform" in text
     assert "angle_random_walk" in text.partition("Notjudgedhere")[2]
