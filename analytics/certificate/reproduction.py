@@ -15,6 +15,7 @@ from stream.events import CertificateIssued
 
 _FILES = "select distinct filename from internal.lake_channel_parts where list_contains($runs, run)"
 _Key = tuple[str, str, tuple[str, ...]]  # metric, signal, runs
+_Now = dict[str, list[tuple[float, str]]]  # values with their U, by conditions
 
 
 def check_records(catalog: Catalog, runs: Sequence[str]) -> None:
@@ -54,20 +55,24 @@ def changed_results(catalog: Catalog, document: CertificateIssued) -> list[str]:
         rows = selected(catalog, Selection(units=(document.unit,), standards=(document.standard,)))
     except NotFound:
         return [f"the store has no record of {document.unit} any more"]
-    now: defaultdict[_Key, list[tuple[float, str]]] = defaultdict(list)
+    now: defaultdict[_Key, _Now] = defaultdict(dict)
     for row in rows:
         if row["value"] is not None:
             found = result_of(row)
-            now[row["metric"], found.signal, found.runs].append((found.value, found.expanded_text))
+            of_key = now[row["metric"], found.signal, found.runs]
+            of_key.setdefault(found.conditions.en, []).append((found.value, found.expanded_text))
     changed = []
     for stated in json.loads(document.results):
         for result in stated["results"]:
-            given = now[stated["metric"], result["signal"], tuple(result["runs"])]
+            of_key = now[stated["metric"], result["signal"], tuple(result["runs"])]
+            conditions = result["conditions"]["en"]
+            # conditions that have changed, as a temperature, leave all that is of the same runs
+            given = of_key.get(conditions) or [each for values in of_key.values() for each in values]
             digits = result["expanded"]
             was = rounded_to(result["value"], digits), "" if digits is None else rounded_to(digits, digits)
             if was in {(rounded_to(value, digits), expanded) for value, expanded in given}:
                 continue
             values = ", ".join(f"{rounded_to(value, digits)} (U = {expanded or '?'})" for value, expanded in given)
-            what = f"{stated['name']['en']} {result['signal']}".strip()
+            what = f"{stated['name']['en']} {result['signal']}".strip() + (f" ({conditions})" if conditions else "")
             changed.append(f"{what}: stated {was[0]} (U = {was[1] or '?'}), the store gives {values or 'none'}")
     return changed

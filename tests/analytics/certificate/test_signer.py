@@ -79,15 +79,21 @@ def test_records_that_change_after_the_issue_are_noticed(
     shutil.copytree(signed[0], tmp_path / "copy")
     folder = tmp_path / "copy"
     text = (folder / "station.toml").read_text().replace("U = 1e-4", "U = 1e-3")
-    (folder / "station.toml").write_text(text)
-    again = run_command(
-        "import", "scale.csv", "--unit", UNIT, "--station", "station.toml", "--store", "lab", "--restate",
-        "--start", "2026-03-02T09:00:00+08:00", cwd=folder,
-    )  # fmt: skip
-    assert again.code == 0, again.err
+    assert 'unit = "arcsec"' in text
+    (folder / "station.toml").write_text(text.replace('unit = "arcsec"', 'unit = "arcmin"'))
+    for name, at in (("scale.csv", "09"), ("bias.csv", "13")):
+        again = run_command(
+            "import", name, "--unit", UNIT, "--station", "station.toml", "--store", "lab", "--restate",
+            "--start", f"2026-03-02T{at}:00:00+08:00", cwd=folder,
+        )  # fmt: skip
+        assert again.code == 0, again.err
     code, found = verified(run_command, folder, "signed.pdf")
     assert (code, found["genuine"], found["valid"]) == (1, True, True)
-    assert any(each.startswith("Scale factor rate: stated ") for each in found["changed"])
+    assert any(each.startswith("Scale factor rate (") for each in found["changed"])
+    biases = [each for each in found["changed"] if each.startswith("Bias rate (")]
+    for each, earth in zip(biases, ("Earth's rate included", "Earth's rate removed"), strict=True):
+        assert earth in each
+        assert each.count("(U = ") == 2, "compared with its like alone"
 
 
 @pytest.fixture(scope="module")
