@@ -14,7 +14,7 @@ LEAST_UNITS = 20  # from which a process has a mean and a deviation
 _VALUES = """
 select lot, metric, subject, specification, revision, decision_rule, unit, value, standard_uncertainty as u, guard,
   lower, upper
-from verdicts where conformity is not null
+from verdicts where conformity is not null and verdict <> 'NO_DATA'
 """
 _KEY = ("lot", "metric", "subject", "specification", "revision", "decision_rule")
 

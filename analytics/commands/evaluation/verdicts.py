@@ -167,6 +167,10 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
             "" if None in process else f"{process[0]:.2%} / {process[1]:.2%}",
         )  # fmt: skip
+    if not rows:
+        none = "No value is judged by a limit, so no risk is known: `gyrofleet verdicts` gives the reasons."
+        results().print("没有按限值判定的数值，风险未知：原因见 `gyrofleet verdicts`。" if language == "zh" else none)
+        return
     results().print(table)
     text = "Risks: largest of a unit / of the lot; of process: consumer / producer, true values taken as normal."
     zh = "风险：单件最大值 / 批次总体；过程：使用方 / 生产方，假设真值服从正态分布。"

@@ -11,7 +11,7 @@ with of_units as (
   from (
     select * replace (if(bool_and(conformity_of = 'U') over (partition by lot, metric, subject, specification, revision,
       decision_rule, unit), 'U', 'type A only') as conformity_of)
-    from verdicts where conformity is not null
+    from verdicts where conformity is not null and verdict <> 'NO_DATA'  -- a rule that lacks its U accepts nothing
   )
   group by all
 )

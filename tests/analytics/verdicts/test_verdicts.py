@@ -1,10 +1,12 @@
 """Verdicts: each value against the limit that was valid at its time."""
 
+from statistics import NormalDist
 from typing import Any
 
 import pytest
 
 from analytics.metric_registry.registry import metrics
+from analytics.specifications.risks import lot_risks
 from analytics.specifications.verdicts import rows_of, verdicts_of
 from tests.analytics.verdicts.judged_store import BIAS, DAY_NS, JANUARY_NS, Judged, limits
 
@@ -42,6 +44,24 @@ def test_a_value_is_judged_by_its_interval(judged: Judged) -> None:
     assert {unit["unit"]: unit["verdict"] for unit in found.units} == {
         unit: verdict for unit, (_, _, _, verdict) in zip(units, cases, strict=True)
     }
+
+
+def test_a_guard_band_is_of_the_stated_u_and_what_lacks_u_is_no_accepted_unit(judged: Judged) -> None:
+    """U = 0.0953 is printed as 0.096; 0.9045 lies inside by 0.0955."""
+    judged.specify(limits(f'{BIAS}\ndecision_rule = "guarded_acceptance"'))
+    known = {"standard_uncertainty": 0.04, "freedom": 50.0}
+    values = [
+        {"unit": unit, "value": value, "lo": value - 0.1, "hi": value + 0.1} | known | ({"U": u, "k": 2.0} if u else {})
+        for unit, value, u in (("NEAR", 0.9045, 0.0953), ("INSIDE", 0.9035, 0.0953), ("NO-U", 5.0, None))
+    ]
+    catalog = judged.catalog([{"unit": unit, "run": "r1"} for unit in ("NEAR", "INSIDE", "NO-U")], values)
+    found = {row["unit"]: row for row in verdicts_of(catalog).verdicts}
+    assert [found[unit]["verdict"] for unit in ("NEAR", "INSIDE", "NO-U")] == ["FAIL", "PASS", "NO_DATA"]
+    assert found["NEAR"]["guard"] == 0.096
+    (risk,) = lot_risks(catalog)
+    assert (risk["judged"], risk["accepted"], risk["rejected"]) == (2, 1, 1)
+    tail = NormalDist().cdf(-(1 - 0.9035) / (0.0953 / 2))  # the largest of the units that were accepted
+    assert risk["specific_consumer_risk"] == pytest.approx(tail, abs=1e-5)
 
 
 @pytest.mark.long
