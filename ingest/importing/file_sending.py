@@ -87,6 +87,7 @@ class FileImport:
     damage: str = ""
     remarks: tuple[str, ...] = ()
     frames: "CanCounts | None" = None
+    stated: tuple[str, ...] = ()  # stored runs whose station this file states
 
     @property
     def added(self) -> int:
@@ -123,6 +124,7 @@ class FileSending:
         self.runs = sorted(self._of)  # that it has samples of
         self._sent: Counter[_Name] = Counter()
         self._is_sent = False
+        self._stating: list[str] = []
 
     def join(self, group: SendingGroup) -> None:
         """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
@@ -212,6 +214,7 @@ class FileSending:
                 self._stated[run] |= self._about
                 if run not in self._group.stated:
                     self._group.stated.add(run)
+                    self._stating.append(run)
                     send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run]))
             for mounted in self._mounted(run):
                 self._group.named.add((run, mounted.unit))
@@ -274,7 +277,7 @@ class FileSending:
             steps=summary.steps, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
             counted=summary.counted, damage=summary.damage, remarks=(*warnings, *self._other_names, *summary.remarks),
-            frames=getattr(summary, "frames", None),
+            frames=getattr(summary, "frames", None), stated=tuple(self._stating),
         )  # fmt: skip
 
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:

@@ -163,7 +163,9 @@ def test_a_station_that_is_stated_later_is_that_of_the_run(ask: Callable[..., Ou
     ] * 3
     refused = ask(*again, "--station", "pier-2", code=1)
     assert "run unknown is stored with station bench-7, now it is pier-2" in " ".join(refused.err.split())
-    ask(*again, "--station", "pier-2", "--restate")
+    again_stated = ask(*again, "--station", "pier-2", "--restate")
+    assert "What is stated of the station is recorded for 1 run." in both(again_stated)
+    assert "stated of the station" not in both(ask(*again, "--station", "pier-2"))
     assert ask("sql", found.format("runs"), "--json").json == [{"site": "plant", "station": "pier-2"}]
     # one that was stated when the run began is refused likewise
     known = ("import", "known.csv", "--unit", "U-KNOWN", "--start", START, *UP, "--station", "pier-2")
