@@ -118,6 +118,11 @@ def ready_names() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
 
 
+def ready_text(name: str) -> str:
+    """Text of a procedure that comes with gyrofleet."""
+    return files("ingest").joinpath("procedures", f"{name}.toml").read_text(encoding="utf-8")
+
+
 def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[ProcedureFile, str, Path | None]:
     """The file of a procedure, its name for messages, and its folder, which is None for a ready procedure.
 
@@ -131,8 +136,7 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
                 f"no procedure {text!r}{near_name(text, ready)}; `gyrofleet procedure list` shows the ready ones, "
                 f"a file of your own is given by its path, as ./{text}.toml"
             )
-        found = files("ingest").joinpath("procedures", f"{text}.toml")
-        return parse_procedure(found.read_bytes(), f"procedure {text}"), f"procedure {text}", None
+        return parse_procedure(ready_text(text), f"procedure {text}"), f"procedure {text}", None
     path = Path(name) if beside is None else beside / name
     try:
         with path.open("rb") as file:
