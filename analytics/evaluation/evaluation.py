@@ -40,7 +40,8 @@ COLUMNS = pa.schema({
 # Metrics that are computed at the same time: their statements are planned by one thread each.
 _MOST_THREADS = 2
 # Scripts of tables that many metrics use.
-_SHARED = ("13_scale_fits.sql", "14_measured_scale_factors.sql", "30_static_steps.sql")
+_OF_RATES = ("11_rate_points.sql", "13_scale_fits.sql", "14_measured_scale_factors.sql", "56_range_sets.sql")
+_OF_RESTS = ("30_static_steps.sql", "31_bias_steps.sql", "45_noise_coefficients.sql")
 _RATE_POINT = "select 1 from internal.rate_points limit 1"
 _WITHOUT_RATES = ("scale_fits", "scale_factors")
 # What metrics ask of all units, also where they are computed for a part of them.
@@ -137,16 +138,19 @@ def _with_rows(catalog: Catalog, chosen: list[Metric], pool: ThreadPoolExecutor)
 
 
 def keep_scale_factors(catalog: Catalog) -> None:
-    """Make the tables that many metrics use of the chosen steps: ``scale_fits``, ``scale_factors``, ``still_steps``."""
-    scripts: tuple[str, ...] = _SHARED
-    if not catalog.rows(_RATE_POINT):
-        # planning the lines takes longer than all else of a store without rates, and this in each range of units
-        scripts = _SHARED[-1:]
+    """Make the tables that many metrics use of the chosen steps: of lines through rates, and of steps at rest."""
+    # planning takes longer than all else of a small store, and is done in each range of units: what stands on a table
+    # is planned sooner
+    define_scripts(catalog, "views", _OF_RATES)
+    catalog.hold("internal.rate_points")
+    if catalog.rows(_RATE_POINT):
+        catalog.hold("internal.scale_sets")
+    else:
         for name in _WITHOUT_RATES:
             folder = files("analytics.evaluation").joinpath("without_rates")
             catalog.create(name, folder.joinpath(f"{name}.sql").read_text(encoding="utf-8"))
-    define_scripts(catalog, "views", scripts)
-    catalog.fill((*_WITHOUT_RATES, "still_steps"))
+    define_scripts(catalog, "views", _OF_RESTS)
+    catalog.fill((*_WITHOUT_RATES, "still_steps", "bias_steps"))
 
 
 def _values_or_reasons(catalog: Catalog, metric: Metric, type_b: TypeB | None) -> pa.Table:

@@ -200,10 +200,11 @@ class Catalog(Closing):
 
     def hold(self, view: str, units: Collection[str] | None = None) -> None:
         """Keep the rows of a view in memory, by default of all units, for many statements about a few rows each."""
-        held, of_units = f"internal.held_{view}", "" if units is None else f" where unit in ({_quoted(units)})"
+        held = f"internal.held_{view.removeprefix('internal.')}"
+        of_units = "" if units is None else f" where unit in ({_quoted(units)})"
         with self._defining:
             self._deferred.define(words_of(view))
-            self._run_definition(f"create table {held} as select * from {view}{of_units}")  # noqa: S608
+            self._run_definition(f"create or replace table {held} as select * from {view}{of_units}")  # noqa: S608
             self._run_definition(f"create or replace view {view} as select * from {held}")  # noqa: S608
 
     def defer(self, script: str) -> None:

@@ -160,8 +160,12 @@ class TestedUnits:
 
     def metric(self, name: str) -> list[dict[str, Any]]:
         """Rows of one metric over what has been written, its parameters among the columns."""
+        return self.metrics(name)[name]
+
+    def metrics(self, *names: str) -> dict[str, list[dict[str, Any]]]:
+        """The same of several metrics, whose common tables are made once."""
         with self.catalog() as catalog:
-            return _evaluated(catalog, step_means(catalog), name)
+            return _evaluated(catalog, step_means(catalog), names)
 
     def release(self) -> None:
         self._log.abandon()
@@ -173,15 +177,17 @@ class TestedUnits:
         self._log.append(place, record)
 
 
-def _evaluated(catalog: Catalog, steps: pa.Table, metric: str) -> list[dict[str, Any]]:
-    """Rows of one metric from records of steps, its parameters among the columns; the other metrics are left out."""
+def _evaluated(catalog: Catalog, steps: pa.Table, names: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """Rows of metrics from records of steps, their parameters among the columns; the other metrics are left out."""
     catalog._unfilled.clear()  # else it would fill itself with all of them
     define_views(catalog, steps)
-    rows: list[dict[str, Any]] = evaluate(catalog, [metrics()[metric]]).to_pylist()
-    known = set(metrics()[metric].header.parameters)
-    found = {key for row in rows for key in json.loads(row["parameters"] or "{}")}
-    assert found <= known, f"parameters that are not in the header of {metric}: {found - known}"
-    return [json.loads(row["parameters"] or "{}") | row for row in rows]
+    found: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for row in evaluate(catalog, [metrics()[name] for name in names]).to_pylist():
+        parameters = json.loads(row["parameters"] or "{}")
+        unknown = set(parameters) - set(metrics()[row["metric"]].header.parameters)
+        assert not unknown, f"parameters that are not in the header of {row['metric']}: {unknown}"
+        found[row["metric"]].append(parameters | row)
+    return found
 
 
 @pytest.fixture
@@ -217,7 +223,7 @@ def recorded(tmp_path: Path) -> Recorded:
             for each in reported:
                 each.setdefault("t_from_ns", each["t_start_ns"])
                 each.setdefault("t_to_ns", each["t_from_ns"] + round(each["duration_s"] * 1e9))
-            return _evaluated(catalog, pa.Table.from_pylist(reported, schema=schema), metric)
+            return _evaluated(catalog, pa.Table.from_pylist(reported, schema=schema), [metric])[metric]
 
     return run
 

@@ -18,8 +18,8 @@ join (select unit, arg_max(product, t_start_ns) as product from unit_runs where 
   on p.unit = m.unit
 group by m.unit, m.metric, p.product;
 
--- What it asks for more than once is planned once.
-create or replace view unit_warnings as
+-- What it asks for more than once is planned once, and so is all of it: a view is planned when it is made as well.
+create or replace table unit_warnings as
 with each_run as materialized (
   from unit_runs
 ), range as materialized (
@@ -101,4 +101,4 @@ join (
 join metric_names n using (metric)
 where r.highest <= u.highest - 5 or r.lowest >= u.lowest + 5
 order by 1;
-comment on view unit_warnings is 'units that probably go by two names, units with copied records, units whose last run nothing judges, and units measured over fewer temperatures than others of their product';
+comment on table unit_warnings is 'units that probably go by two names, units with copied records, units whose last run nothing judges, and units measured over fewer temperatures than others of their product';

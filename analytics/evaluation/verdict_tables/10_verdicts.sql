@@ -172,7 +172,12 @@ with candidate as materialized (
 ), guarded as (                         -- width of the guard band of JCGM 106 8.3, towards the inside, of U as it is printed
   select *,
     case decision_rule when 'guarded_acceptance' then guard_factor * v_u_stated
-      when 'guarded_rejection' then -guard_factor * v_u_stated else 0.0 end as guard
+      when 'guarded_rejection' then -guard_factor * v_u_stated else 0.0 end as guard,
+    -- a standard out of date makes no value better than it was while that was valid
+    case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
+      'the calibration of ' || '.+?' || ' ended on ' || '[0-9-]+'), '') end as expired,
+    student_as_normal((upper - v) / nullif(v_u, 0), coalesce(v_nu, 1e9)) as z_upper,
+    student_as_normal((lower - v) / nullif(v_u, 0), coalesce(v_nu, 1e9)) as z_lower
   from widened
 ), by_value as (
   select *,
@@ -187,14 +192,10 @@ with candidate as materialized (
       when (upper is null or v_hi <= upper) and (lower is null or v_lo >= lower) then 'PASS'
       else 'MARGINAL'
     end as by_value,
-    -- a standard out of date makes no value better than it was while that was valid
-    case when v_u_expanded is null then nullif(regexp_extract(uncertainty_reason,
-      'the calibration of ' || '.+?' || ' ended on ' || '[0-9-]+'), '') end as expired,
     case when v_u > 0 and expired is null then
-      case when upper is null then 1.0 else student_cdf((upper - v) / v_u, coalesce(v_nu, 1e9)) end
-      - case when lower is null then 0.0 else student_cdf((lower - v) / v_u, coalesce(v_nu, 1e9)) end
-    end as conformity,
-    case when conformity is not null then if(v_u_expanded is null, 'type A only', 'U') end as conformity_of
+      case when upper is null then 1.0 else normal_cdf(z_upper) end
+      - case when lower is null then 0.0 else normal_cdf(z_lower) end
+    end as conformity
   from guarded
 ), lasted as (                          -- how long the records are of values whose limits ask for it
   select g.row, g.limit_id, coalesce(any_value((g.parameters->>'$.duration_s')::double),
@@ -203,7 +204,8 @@ with candidate as materialized (
     and list_contains(g.steps, m."index")
   where g.record_s is not null group by g.row, g.limit_id
 ), judged as (                          -- an early decision stands, unless the value says the opposite
-  select b.*, d.reason as early_reason, d.outcome as early, l.n as samples, l.expected, r.record,
+  select b.*, case when b.conformity is not null then if(b.v_u_expanded is null, 'type A only', 'U') end as conformity_of,
+    d.reason as early_reason, d.outcome as early, l.n as samples, l.expected, r.record,
     b.record_s is not null and coalesce(r.record, 0) < 0.99 * b.record_s as is_short,
     case
       when is_short and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'

@@ -15,7 +15,7 @@ create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess
       when outliers > 0 and outlier_excess >= 0.01 then format('isolated outliers ({}) raise the noise by {:.0f} %',
         outliers, 100 * outlier_excess) end), '');
 
-create or replace view internal.bias_steps as
+create or replace table internal.bias_steps as
 with counted as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")

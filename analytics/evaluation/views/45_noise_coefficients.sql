@@ -1,12 +1,9 @@
--- The last fit of each finished run.
-create or replace table internal.fitted_noise as
-select run, unit, signal, arg_max(document, t_ns) as document from events where kind = 'NoiseFitted' group by all;
-
 -- Noise coefficients of IEEE 952 that were fitted to the Allan curve of a finished run: a row for each of a unit that
 -- did nothing in that run but be at rest in one step. One that the record does not show has no value; `reason` says
 -- by how much it is bounded. Where the curve departs from the model by more than a quarter, as in
 -- `gyrofleet allan --fit`, or the output stood still for a part of the record, values have no interval. A step of the procedure for it without a fit has rows too.
-create or replace view internal.noise_coefficients as
+-- Five metrics stand on them: a table.
+create or replace table internal.noise_coefficients as
 with still as (
   select *, count(*) over (partition by run, unit, signal) as still_steps from internal.bias_steps where n > 0
 ), counted as (

@@ -10,9 +10,10 @@ create or replace macro normal_cdf(z) as
   case when z < 0 then normal_tail(-z) else 1 - normal_tail(z) end;
 
 -- Of Student's t (Wallace 1959, doi:10.1214/aoms/1177706068: within 0.003 from 1.5 degrees of freedom, 0.0003 from 5).
-create or replace macro student_cdf(t, freedom) as
-  normal_cdf(sign(t) * (8 * least(freedom, 1e9) + 1) / (8 * least(freedom, 1e9) + 3)
-    * sqrt(least(freedom, 1e9) * ln(1 + t * t / least(freedom, 1e9))));
+-- As the argument of the normal distribution: a macro is planned with as many copies of an argument as it names it.
+create or replace macro student_as_normal(t, freedom) as
+  sign(t) * (8 * least(freedom, 1e9) + 1) / (8 * least(freedom, 1e9) + 3)
+    * sqrt(least(freedom, 1e9) * ln(1 + t * t / least(freedom, 1e9)));
 
 -- U as it is printed: rounded up to two digits, but for what is immaterial (JCGM 100 7.2.6, as `round_up` in Python).
 create or replace macro stated_uncertainty(u) as

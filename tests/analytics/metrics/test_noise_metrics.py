@@ -39,7 +39,8 @@ def fill(tested: Any) -> FloatArray:
 
 def test_noise_coefficients(tested: Any) -> None:
     fast = fill(tested)
-    walks = tested.metric("angle_random_walk")
+    found = tested.metrics("angle_random_walk", "rate_ramp")
+    walks = found["angle_random_walk"]
     fitted = one(walks, unit="U1", method="allan")
     assert [fitted[name] for name in ("value", "lo", "hi", "record")] == [2.0, 1.8, 2.2, "run"]
     own = one(walks, unit="U2", method="allan")
@@ -57,7 +58,7 @@ def test_noise_coefficients(tested: Any) -> None:
     assert short["hi"] == exact(alone.coefficient.hi)
     assert "less than 0.01 s" in one(walks, unit="U2", method="normalised")["reason"]
 
-    ramp = tested.metric("rate_ramp")
+    ramp = found["rate_ramp"]
     assert one(ramp, unit="U1")["reason"] == "not observable in this record: at most 9 deg/h"
     assert "no noise fit is stored" in one(ramp, unit="U2")["reason"]
 
@@ -65,6 +66,7 @@ def test_noise_coefficients(tested: Any) -> None:
 @pytest.mark.long
 def test_each_coefficient_of_a_stored_fit_is_a_metric(tested: Any) -> None:
     fill(tested)
-    assert one(tested.metric("bias_instability"), unit="U1")["value"] == 3.0
-    assert one(tested.metric("quantization_noise"), unit="U1")["lo"] == 0.9
-    assert one(tested.metric("rate_random_walk"), unit="U1")["value"] is None
+    found = tested.metrics("bias_instability", "quantization_noise", "rate_random_walk")
+    assert one(found["bias_instability"], unit="U1")["value"] == 3.0
+    assert one(found["quantization_noise"], unit="U1")["lo"] == 0.9
+    assert one(found["rate_random_walk"], unit="U1")["value"] is None

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stream.batch import FloatArray
 from tests.analytics.conftest import START_NS
 from tests.analytics.metrics.rate_table import BOTH, RATES, Table, by_standard, cubic
 
@@ -19,8 +20,8 @@ def test_measured_rates_in_the_column_of_commands_are_symmetric(
 ) -> None:
     jitter = 1 + 2e-4 * np.random.default_rng(3).uniform(-1, 1, len(BOTH))
     rate, mean = table(gyro=cubic, unit="V").rates((np.array(BOTH) * jitter).tolist(), procedure="scale_factor")
-    for metric in metrics:
-        found = by_standard(tested.metric(metric))
+    for metric, rows in tested.metrics(*metrics).items():
+        found = by_standard(rows)
         assert {standard: row["reason"] for standard, row in found.items()} == {"GJB2426A": None, "JJF2014": None}
         if metric == "scale_factor":
             line = np.polyfit(rate[1:-1], mean[1:-1], 1)
@@ -54,29 +55,44 @@ def test_a_temperature_that_moves_with_the_rates_is_named(
             signals = {"rate": (values, "deg/s"), "temperature": (np.full(10, degc), "degC")}
             words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
             t_ns = tested.step("r1", f"U{moved}", signals, t0_ns=t_ns, **words)
-    for metric in metrics:
-        found = tested.metric(metric)
+    for found in tested.metrics(*metrics).values():
         assert {row["unit"] for row in found} == {f"U{moved}" for moved in moved_degc}
         for row in found:
             is_named = row["unit"] == "U12.0"
             assert (row["remark"] or "").startswith("the temperature moved by 1") is is_named, row["remark"]
 
 
-@pytest.mark.parametrize("order", ["positive first", "signs alternate", "and back again"])
-def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(tested: Any, order: str) -> None:
-    """By lines of numpy through a drift of 0.01 deg/s from the rest before to the rest after."""
-    alternating = [sign * each for each in RATES for sign in (1, -1)]
-    rates = {
-        "positive first": [*RATES, *(-each for each in RATES)], "signs alternate": alternating,
-        "and back again": alternating + alternating[::-1],
-    }[order]  # fmt: skip
-    drift, x = 0.01 * np.arange(1, len(rates) + 1) / (len(rates) + 1), np.array(rates)
-    rng = np.random.default_rng(4)
-    t_ns = START_NS
-    for rate, moved in zip([0.0, *rates, 0.0], [0.0, *drift, 0.01], strict=True):
-        values = rate + moved + 1e-4 * rng.standard_normal(100)
-        words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
-        t_ns = tested.step("r1", "U1", {"rate": (values, "deg/s")}, t0_ns=t_ns, **words)
+ALTERNATING = [sign * each for each in RATES for sign in (1, -1)]
+ORDERS = {
+    "positive first": [*RATES, *(-each for each in RATES)], "signs alternate": ALTERNATING,
+    "and back again": ALTERNATING + ALTERNATING[::-1],
+}  # fmt: skip
+
+
+def drift_through(rates: list[float]) -> FloatArray:
+    """Of 0.01 deg/s from the rest before to the rest after."""
+    drift: FloatArray = 0.01 * np.arange(1, len(rates) + 1) / (len(rates) + 1)
+    return drift
+
+
+def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(tested: Any) -> None:
+    """By lines of numpy; a unit for each order of the rates."""
+    for unit, rates in ORDERS.items():
+        rng = np.random.default_rng(4)
+        t_ns = START_NS
+        for rate, moved in zip([0.0, *rates, 0.0], [0.0, *drift_through(rates), 0.01], strict=True):
+            values = rate + moved + 1e-4 * rng.standard_normal(100)
+            words = {"procedure": "scale_factor", "rate_command_deg_per_s": rate}
+            t_ns = tested.step("r1", unit, {"rate": (values, "deg/s")}, t0_ns=t_ns, **words)
+    found = tested.metrics("scale_factor", "scale_factor_asymmetry", "scale_factor_nonlinearity")
+    for unit in ORDERS:
+        check_drift({metric: [row for row in rows if row["unit"] == unit] for metric, rows in found.items()}, unit)
+
+
+def check_drift(found: dict[str, list[dict[str, Any]]], order: str) -> None:
+    """What is said of the drift through the rates in an order, and of what it does to each metric."""
+    rates = ORDERS[order]
+    drift, x = drift_through(rates), np.array(rates)
     lines = [np.polyfit(x[side], drift[side], 1) for side in (x != 0, x > 0, x < 0)]
     slope, plus, minus = (line[0] for line in lines)
     expected = {
@@ -84,7 +100,7 @@ def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(test
         "scale_factor_nonlinearity": 1e6 * np.abs(drift - np.polyval(lines[0], x)).max() / max(RATES),
     }  # fmt: skip
     for metric, ppm in expected.items():
-        row = by_standard(tested.metric(metric))["GJB2426A"]
+        row = by_standard(found[metric])["GJB2426A"]
         remark = row["remark"] or ""
         if abs(ppm) > 0.6 * row["standard_uncertainty"] * (1e6 if metric == "scale_factor" else 1):
             assert remark.startswith("the output at rest moved by 0.01 deg/s through the rates: "), metric

@@ -168,23 +168,24 @@ def test_every_metric_has_names_in_two_languages(judged: Judged) -> None:
     assert all(row["en"] and row["zh"] and not row["zh"].isascii() and row["needs"] for row in rows)
 
 
-@pytest.mark.parametrize(
-    ("record_s", "value", "expected", "reason"),
-    [
+def test_a_value_of_a_record_that_is_too_short_does_not_pass(judged: Judged) -> None:
+    cases = (
         (3600, 0.0, "PASS", None),
         (3630, 0.0, "PASS", None),  # within a hundredth
         (7200, 0.0, "MARGINAL", "its record lasts 3600 s, the limit asks for 7200 s: measure longer"),
         (7200, 3.0, "FAIL", None),
-    ],
-)
-def test_a_value_of_a_record_that_is_too_short_does_not_pass(
-    judged: Judged, record_s: int, value: float, expected: str, reason: str | None
-) -> None:
-    judged.specify(limits(f"{BIAS}\nrecord_s = {record_s}"))
-    step = {"unit": "U1", "run": "r1", "signal": "rate", "index": 1, "t_from_ns": JANUARY_NS}
-    catalog = judged.catalog([step], [{"run": "r1", "value": value, "lo": value - 0.1, "hi": value + 0.1}])
-    (found,) = verdicts_of(catalog).verdicts
-    assert (found["verdict"], found["reason"]) == (expected, reason)
+    )
+    asked = dict.fromkeys(record_s for record_s, *_ in cases)
+    judged.specify(limits(*(f'{BIAS}\nproduct = "P{record_s}"\nrecord_s = {record_s}' for record_s in asked)))
+    steps, values = [], []
+    for number, (record_s, value, *_) in enumerate(cases):
+        own = {"unit": f"U{number}", "run": "r1", "signal": "rate"}
+        steps.append(own | {"product": f"P{record_s}", "index": 1, "t_from_ns": JANUARY_NS})
+        values.append(own | {"value": value, "lo": value - 0.1, "hi": value + 0.1})
+    found = {row["unit"]: row for row in verdicts_of(judged.catalog(steps, values)).verdicts}
+    assert len(found) == len(cases)
+    for number, (*_, expected, reason) in enumerate(cases):
+        assert (found[f"U{number}"]["verdict"], found[f"U{number}"]["reason"]) == (expected, reason)
 
 
 def test_a_record_of_unknown_length_does_not_pass_where_one_is_asked_for(judged: Judged) -> None:
