@@ -64,6 +64,16 @@ def changed(table: pa.Table, column: str, by: float | str) -> pa.Table:
     return table.set_column(place, table.schema.field(place), pa.array(values, table.schema.field(place).type))
 
 
+def added(table: pa.Table, column: str) -> pa.Table:
+    """The table with another column, without values."""
+    return table.append_column(column, pa.nulls(table.num_rows, pa.int64()))
+
+
+def part_with(store: Store, table: str) -> str:
+    """The first part that has rows of a table."""
+    return next(each.name for each in read_manifest(store).parts if each.files[f"{table}.parquet"].rows)
+
+
 def merged_of(filler: Filler) -> Store:
     """A store whose days are one part each."""
     filler.build()
@@ -89,26 +99,31 @@ def merged(merged_store: Store, tmp_path: Path) -> Store:
 def test_a_lake_that_was_not_touched_has_the_values_of_the_log(documented: Filler) -> None:
     documented.build()
     assert list(value_findings(documented.store)) == []
-    assert list(value_findings(merged_of(documented))) == []
+    store = merged_of(documented)
+    for table in CHANGES:
+        forge(store, part_with(store, table), table, lambda rows: rows)
+    assert list(value_findings(store)) == [], "the same rows in other files"
 
 
-@pytest.mark.in_gate("samples", "rollup_1s", "channels")
-@pytest.mark.parametrize("table", CHANGES)
-def test_a_changed_value_is_found_in_each_table(merged: Store, table: str) -> None:
-    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
-    forge(merged, part, table, lambda rows: rows)
-    assert list(value_findings(merged)) == [], "the same rows in another file"
-    forge(merged, part, table, lambda rows: changed(rows, *CHANGES[table]))
+@pytest.mark.in_gate("all")
+@pytest.mark.parametrize("tables", [tuple(CHANGES), *((each,) for each in CHANGES)], ids=["all", *CHANGES])
+def test_a_changed_value_is_found_in_each_table(merged: Store, tables: tuple[str, ...]) -> None:
+    """In all of them at once; in the long form in each alone."""
+    paths = set()
+    for table in tables:
+        part = part_with(merged, table)
+        forge(merged, part, table, lambda rows, table=table: changed(rows, *CHANGES[table]))  # type: ignore[misc]
+        paths.add(str(merged.lake / part / f"{table}.parquet"))
     assert list(lake_problems(merged)) == [], "the hashes fit"
-    (finding,) = value_findings(merged)
-    assert (finding.kind, finding.where) == ("lake_differs", str(merged.lake / part / f"{table}.parquet"))
-    assert finding.what.startswith(("1 of its rows", "2 of its rows"))
+    found = list(value_findings(merged))
+    assert sorted((each.kind, each.where) for each in found) == sorted(("lake_differs", path) for path in paths)
+    assert all(each.what.startswith(("1 of its rows", "2 of its rows")) for each in found)
 
 
 @pytest.mark.in_gate("events")
 @pytest.mark.parametrize("table", ["samples", "events", "rollup_1s"])
 def test_a_row_that_is_lost_or_there_twice_is_found(merged: Store, table: str) -> None:
-    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
+    part = part_with(merged, table)
     forge(merged, part, table, lambda rows: rows.slice(1))
     assert [each.kind for each in value_findings(merged)] == ["lake_differs"]
     forge(merged, part, table, lambda rows: pa.concat_tables([rows, rows.slice(rows.num_rows - 1)]))
@@ -141,16 +156,30 @@ def test_the_command_says_what_was_compared(merged: Store, gyrofleet: Any) -> No
     assert [each["kind"] for each in done.json["findings"]] == ["lake_differs"]
 
 
-@pytest.mark.parametrize(("table", "column"), [("channels", "scale"), ("events", "document"), ("samples", "flags")])
-def test_a_column_that_is_taken_away_is_found(merged: Store, table: str, column: str) -> None:
+TAKEN = {"channels": "scale", "events": "document", "samples": "flags"}  # from each table a column
+
+
+def test_a_column_that_is_taken_away_is_found(merged: Store) -> None:
     """A part of this version has all columns; one of a version before is compared in those that it has."""
-    part = next(each.name for each in read_manifest(merged).parts if each.files[f"{table}.parquet"].rows)
-    forge(merged, part, table, lambda rows: rows.drop_columns([column]))
-    (finding,) = value_findings(merged)
-    assert finding.what.startswith(f"its columns are others ({column})")
-    forge(merged, part, table, lambda rows: rows.append_column(column.upper(), pa.nulls(rows.num_rows, pa.int64())))
-    (finding,) = value_findings(merged)  # SQL reads it whatever its case
-    assert finding.what.startswith(f"its columns are others ({column}, {column.upper()})")
+    parts = {table: part_with(merged, table) for table in TAKEN}
+
+    def found() -> dict[str, str]:
+        findings = list(value_findings(merged))
+        assert len(findings) == len(TAKEN)
+        return {Path(each.where).stem: each.what for each in findings}
+
+    for table, column in TAKEN.items():
+        forge(merged, parts[table], table, lambda rows, column=column: rows.drop_columns([column]))  # type: ignore[misc]
+    said = found()
+    assert said.keys() == TAKEN.keys()
+    assert all(said[table].startswith(f"its columns are others ({column})") for table, column in TAKEN.items())
+    for table, column in TAKEN.items():
+        upper = column.upper()
+        forge(merged, parts[table], table, lambda rows, name=upper: added(rows, name))  # type: ignore[misc]
+    said = found()  # SQL reads it whatever its case
+    assert said.keys() == TAKEN.keys()
+    for table, column in TAKEN.items():
+        assert said[table].startswith(f"its columns are others ({column}, {column.upper()})")
 
 
 def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(documented: Filler) -> None:

@@ -148,8 +148,12 @@ def test_the_oldest_are_forgotten(writer: Writer, reads: list[str], monkeypatch:
     assert reads == ["00000001.mcap", "00000002.mcap"] * 2
 
 
-def test_chunks_of_samples_of_an_open_segment_are_not_read(writer: Writer) -> None:
-    """All but the last one, whose indexes may not be whole; those with documents are, wherever the file ends."""
+@pytest.mark.parametrize("each", [7, pytest.param(1, marks=pytest.mark.long)])
+def test_chunks_of_samples_of_an_open_segment_are_not_read(writer: Writer, each: int) -> None:
+    """All but the last one, whose indexes may not be whole; those with documents are, wherever the file ends.
+
+    At every seventh byte; in the long form at every byte.
+    """
     for count in (1, 2, 3):
         writer.samples("r4", count)
         writer.log.sync()
@@ -162,7 +166,7 @@ def test_chunks_of_samples_of_an_open_segment_are_not_read(writer: Writer) -> No
     scan = SegmentScan(path, is_wanted=is_of_documents)
     assert [record.topic for record in scan].count(KEY) == 2 + 1  # of 6: beside a document, and the last
     assert not scan.damaged
-    for limit in range(path.stat().st_size):
+    for limit in range(0, path.stat().st_size, each):
         whole = [each for each in SegmentScan(path, limit) if is_of_documents(each.topic)]
         some = SegmentScan(path, limit, is_wanted=is_of_documents)
         assert [each for each in some if is_of_documents(each.topic)] == whole
