@@ -109,7 +109,7 @@ def test_a_short_ramp_does_not_reach_into_the_next_block(tested: TestedUnits) ->
     assert np.abs(missed(run, at_gyro)).max() < 1.0
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 1e-4, 0.02])
+@pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=pytest.mark.long), 1e-4, 0.02])
 def test_a_delay_that_two_rates_cannot_tell_is_not_confirmed(tested: TestedUnits, delay_s: float) -> None:
     """A delay of 4 ms was confirmed without any."""
     swinging(tested, 1.0, delay_s)

@@ -127,7 +127,7 @@ def test_white_noise_shows_nothing_but_angle_random_walk(seed: int) -> None:
         assert other.reason.startswith("not observable in this record: at most")
 
 
-@pytest.mark.parametrize("step", [5e-3, 2e-2])
+@pytest.mark.parametrize("step", [5e-3, pytest.param(2e-2, marks=pytest.mark.long)])
 def test_a_walk_that_only_the_longest_averages_show_is_below_its_upper_bound(step: float) -> None:
     """80 records of white noise and a walk, of 4096 s: at 95 % 12 misses have a probability below 1e-3."""
     rng = np.random.default_rng([20261130, round(1e3 * step)])
