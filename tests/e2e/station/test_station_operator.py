@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests.forked_commands import CommandServer
+
 Bench = Any
 Kept = Any
 Spawn = Callable[..., subprocess.Popen[str]]
@@ -47,14 +49,10 @@ def test_stopped_by_ctrl_c_the_station_is_safe_and_the_run_goes_on_later(
     assert bench.is_safe()
 
 
-def test_an_operator_confirms_pauses_and_aborts(
-    bench: Bench, tmp_path: Path, command_line: Callable[..., list[str]]
-) -> None:
+def test_an_operator_confirms_pauses_and_aborts(bench: Bench, tmp_path: Path, command_server: CommandServer) -> None:
     words = [str(word) for word in bench.run("scale_factor", *SHORT) if word not in {"--yes", "--json"}]
-    process = subprocess.Popen(
-        command_line(*words), cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, bufsize=1,
-    )  # fmt: skip
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = command_server.start(words, cwd=tmp_path, bufsize=1, **pipes)
     try:
         assert process.stdin is not None
         assert process.stderr is not None
