@@ -69,10 +69,13 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     lost = np.where(np.random.default_rng(5).random(3600) < 0.3, 0.0, rates(3600, 5))
     wild = rates(3600, 6)
     wild[1800] = -99999.0
+    most = np.random.default_rng(9).random(3600) > 0.06
+    most[[0, -1]] = True
     cases = {
         "LIVE": (hour, rates(3600, 2)), "ONE": (hour[:1], rates(1, 3)), "DEAD": (hour, np.full(3600, 14.6)),
         "FROZE": (hour, frozen), "GAP": (np.append(hour[:60], 3599.0), rates(61, 4)),
         "CLIPPED": (hour, np.minimum(rates(3600, 7), 15.0)), "LOST": (hour, lost), "WILD": (hour, wild),
+        "MOST": (hour[most], rates(3600, 8)[most]),
     }  # fmt: skip
     paths = [of_unit(written(tmp_path / f"{unit}.csv", at, rate__dph=values)) for unit, (at, values) in cases.items()]
     ask("import", *paths, *PLACE, "--position", "IRA_up")
@@ -82,7 +85,7 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     found = {unit: bias_of(answer, unit) for unit in cases}
     assert {unit: row["verdict"] for unit, row in found.items()} == {
         "LIVE": "PASS", "ONE": "MARGINAL", "DEAD": "MARGINAL", "FROZE": "MARGINAL", "GAP": "MARGINAL",
-        "CLIPPED": "MARGINAL", "LOST": "MARGINAL", "WILD": "MARGINAL",
+        "CLIPPED": "MARGINAL", "LOST": "MARGINAL", "WILD": "MARGINAL", "MOST": "PASS",
     }  # fmt: skip
     for unit in ("ONE", "DEAD", "FROZE", "CLIPPED", "LOST", "WILD"):
         assert found[unit]["lo"] is found[unit]["hi"] is None
@@ -90,6 +93,7 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     stability = {row["unit"]: row["verdict"] for row in answer if row["metric"] == "bias_stability"}
     assert {stability.pop(unit) for unit in ("CLIPPED", "LOST")} == {"MARGINAL"}
     assert stability.pop("WILD") != "PASS"
+    assert stability.pop("MOST") == "PASS"
     assert stability == {"LIVE": "PASS", "ONE": "NO_DATA", "DEAD": "NO_DATA", "FROZE": "MARGINAL", "GAP": "MARGINAL"}
     frozen_of = [row for row in answer if (row["unit"], row["metric"]) == ("FROZE", "bias_stability") and row["value"]]
     assert frozen_of
@@ -100,6 +104,7 @@ def test_what_has_no_interval_passes_no_limit(ask: Ask, tmp_path: Path) -> None:
     assert "2400 of 3600 samples in a row are alike" in remarks["FROZE"]
     assert remarks["GAP"].startswith("61 of 3600 samples are there, as of 61 s of 3599 s; record of 61 s")
     assert not remarks["LIVE"]
+    assert f"{most.sum()} of 3600 samples are there" in remarks["MOST"]
     assert "samples are at one value or two, as at 15 deg/h: clipped" in remarks["CLIPPED"]
     assert "as at 0 deg/h: clipped at an end of the range, or lost samples written as it" in remarks["LOST"]
     assert remarks["WILD"].startswith("isolated outliers (1) raise the noise ")

@@ -51,7 +51,7 @@ def bias_of(answer: Any, unit: str) -> dict[str, Any]:
     return dict(row)
 
 
-@pytest.mark.in_gate("1")
+@pytest.mark.long  # in the gate among other doubtful records: `test_doubtful_records.py`
 @pytest.mark.parametrize("rate_hz", [1, 10])
 def test_a_pass_needs_most_of_its_record(ask: Ask, tmp_path: Path, rate_hz: int) -> None:
     """The step of each is an hour; of two units samples are missing at random, one falls silent."""
