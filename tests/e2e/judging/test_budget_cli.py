@@ -171,7 +171,7 @@ unit_of_measure = "deg/h"
 
 
 def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_path: Path) -> None:
-    imported(folder, ("old", "IRA_up", "old.toml"))
+    imported(folder, ("old", "IRA_up", "old.toml"), ("plain", "IRA_up", None))
     (tmp_path / "limits.toml").write_text(LIMITS)
     assert ask("limits", "add", tmp_path / "limits.toml", "--reason", "first").exit_code == 0
     undated = [
@@ -187,7 +187,7 @@ def test_a_standard_out_of_date_makes_no_value_pass(folder: Path, ask: Ask, tmp_
     (row,) = (row for row in rows if row["unit"] == "U2")
     assert (row["verdict"], row["conformity"]) == ("MARGINAL", None)
     assert "ended on 2025-03-31" in row["reason"]
-    assert "(type" in ask("verdicts", "--unit", "U1").stdout
+    assert "(type" in ask("verdicts", "--unit", "U1").stdout, "of the run whose station states nothing"
 
 
 def test_a_given_coverage_factor_and_monte_carlo(ask: Ask) -> None:
