@@ -16,6 +16,7 @@ _KINK = (
 )
 _SHARP = 10.0  # times the usual fourth difference, from which rough pieces are an edge and not noise
 _TURNING = 0.01  # of the squares of second differences, below which those of fourth ones are no noise: a swing turns
+_CLEAR = 4.0  # of the usual fourth difference, 5.6 times the noise of a piece, by which it changes in a block
 _FAST = 0.5  # mean square of second differences over the variance: of swings of 7.5 pieces, 2 % at their end unknown
 _EVEN = 0.1  # of the time from piece to piece by which it may differ
 ORDERS = 5  # of derivatives: of readings 1 s apart on a swing of 0.1 Hz, 0.2 ms are left of 0.5 s
@@ -28,7 +29,7 @@ class Slopes(NamedTuple):
     of_blocks: FloatArray
     further_of_pieces: FloatArray  # shape (pieces, ORDERS - 1): second, third, ... per s^2, ...; 0 where it may step
     further_of_blocks: FloatArray
-    is_smooth: BoolArray  # blocks at whose edges it moves without a step
+    is_smooth: BoolArray  # blocks whose slope its pieces give better than means of blocks
     piece_s: float  # length of a piece
     is_open: BoolArray  # blocks at a gap or an end, near which edges are not known since it swings within a few pieces
 
@@ -59,7 +60,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     begin, end = _beside_steps(mean, spread, before, after)
     # derivatives per piece at begin and end, where it is smooth
     turned_in, turned_out = (np.full((size, ORDERS - 1), np.nan) for _ in range(2))
-    rests_in, rests_out, is_open = (np.zeros(size, np.bool_) for _ in range(3))
+    is_open = np.zeros(size, np.bool_)
     known = mean[np.isfinite(mean)]
     moves = known.size > 0 and not is_noise(np.zeros(known.size, np.int64), known, np.array([known.size]))
     bend, sharp = np.abs(np.diff(mean, 2)), np.abs(np.diff(mean, 4))
@@ -78,21 +79,15 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         smooth &= ~is_quiet | (roughness < _TURNING * bending)
         # where a swing has no curvature only its noise bends
         smooth &= bends.max(axis=1) <= np.maximum(_KINK * bends.sum(axis=1), WIDE * range_)
-        smooth &= ~(is_rough & (fourth.max(axis=1) > _SHARP * usual))
+        smooth &= ~(is_rough & (fourth.max(axis=1) > np.maximum(_SHARP * usual, WIDE * range_)))
         swings = squares.mean(axis=1) > _FAST * np.var(about, axis=1)
         weights = _at_edges(pieces)
         for at in range(pieces + 1):
-            of = np.flatnonzero(smooth | is_quiet)
+            of = np.flatnonzero(smooth)
             if at != pieces // 2:  # beside a gap or an end, where no other pieces are
                 if pieces != _STENCIL_AT_END:
                     continue
                 of = of[~before[of]] if at < pieces // 2 else of[~after[of + pieces - 1]]
-            rests = of[~smooth[of]]
-            if at < pieces:
-                rests_in[rests + at] = True
-            if at > 0:
-                rests_out[rests + at - 1] = True
-            of = of[smooth[of]]
             derivatives = about[of] @ weights[:, at].T
             value, slope = derivatives[:, 0], derivatives[:, 1:]
             if at < pieces:
@@ -107,11 +102,10 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     per_s = piece_s ** -np.arange(1.0, ORDERS)
     turned = (turned_out[last] - turned_in[first]) * per_s / seconds[:, None]
     is_smooth = np.isfinite(turned).all(axis=1)
-    # beside a rest as well; in a rest the means of blocks have less noise
+    # so do pieces beside rests and bends, where it changes by far more than noise; else means of blocks have less noise
     inside = np.fmax.reduceat(mean, first) - np.fmin.reduceat(mean, first)
-    moved = inside > WIDE * (np.ptp(known) if known.size else 0.0)
-    edges = np.isfinite(turned_in[first, 0]) | rests_in[first], np.isfinite(turned_out[last, 0]) | rests_out[last]
-    is_smooth |= edges[0] & edges[1] & moved
+    is_clear = inside > _CLEAR * usual
+    is_smooth |= is_clear & moves & np.logical_and.reduceat(np.isfinite(mean), first)
     return Slopes(
         np.nan_to_num((end - begin) / piece_s),
         np.nan_to_num((end[last] - begin[first]) / seconds),

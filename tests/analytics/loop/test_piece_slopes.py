@@ -49,6 +49,24 @@ def test_slopes_between_a_rest_and_a_swing_are_those_of_the_seconds() -> None:
     assert not found.is_smooth[:24].any(), "in a rest the means of blocks have less noise"
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.03])
+def test_slopes_of_ramps_and_dwells_are_those_of_the_seconds(noise: float) -> None:
+    """Blocks with the begin or end of a ramp had the slopes of means of blocks: a time offset was a tenth too small."""
+    rng = np.random.default_rng(1)
+    lengths = rng.integers(20, 120, 120).astype(float)
+    begins = np.concatenate([[0.0], np.cumsum(lengths)])
+    levels = np.repeat(rng.uniform(-100.0, 100.0, 61), 2)[:121]
+    fine = np.interp(np.arange(0.0, 3600.0, 0.1), begins, levels)
+    seconds = (fine + noise * rng.standard_normal(fine.size)).reshape(-1, 10)
+    spread = seconds.std(axis=1)
+    found = slopes_of(np.arange(3600) * 10**9, seconds.mean(axis=1), spread, np.arange(3600) // 30)
+    exact = np.diff(np.interp(np.arange(0.0, 3601.0, 30.0), begins, levels)) / 30.0
+    moves = np.abs(exact) > 1.0 / 30.0
+    assert found.is_smooth[moves].all()
+    off = np.sqrt(np.mean((found.of_blocks - exact)[found.is_smooth] ** 2))
+    assert off < 0.005 * np.sqrt(np.mean(exact**2))
+
+
 def test_a_rate_reference_of_one_reading_a_second_has_them(tested: TestedUnits) -> None:
     tested.run("r1")
     for signal, unit in (("rate", "deg/h"), ("input_rate", "deg/s")):
