@@ -23,6 +23,7 @@ _MOMENT = re.compile(
 _LIKE_ONE = re.compile(r":\d{1,2}(?:\.\d*)?\s*(?:[+-]\d|[A-Za-z])")  # in a statement
 _UTC = {"z", "utc"}
 _TIMES = re.compile(r"(timestamp|datetime|date)(_\w+)?( without time zone)?", re.IGNORECASE)
+_ZONED = re.compile(r"timestamptz|timestamp with time zone", re.IGNORECASE)
 _EQUALITIES = {"COMPARE_EQUAL", "COMPARE_NOTEQUAL", "COMPARE_DISTINCT_FROM", "COMPARE_NOT_DISTINCT_FROM"}
 _BEFORE_DEFAULT = 2  # arguments of LAG
 
@@ -36,6 +37,8 @@ class _Site(NamedTuple):
     begin: int  # in the bytes of the statement
     length: int
     is_cast: bool  # to a time, by the statement itself
+    is_within: bool  # what is cast to times in another way: of a record, or of an expression
+    group: int  # the same for members of a list, which have one type
 
 
 def in_utc(connection: duckdb.DuckDBPyConnection, sql: str, parameters: object) -> tuple[str, object]:
@@ -49,7 +52,7 @@ def in_utc(connection: duckdb.DuckDBPyConnection, sql: str, parameters: object) 
     """
     values = _without_zones(parameters)
     named = _by_name(values)
-    if not _LIKE_ONE.search(sql) and not any(_has_offset(each) for each in named.values()):
+    if not _LIKE_ONE.search(sql) and next(_offsets_in(named), None) is None:
         return sql, values
     ((tree,),) = connection.execute("select json_serialize_sql(?::varchar)", [sql]).fetchall()
     if json.loads(tree)["error"]:  # no SELECT: it only explains
@@ -96,27 +99,54 @@ def _by_name(parameters: object) -> dict[str, Any]:
 
 
 def _sites(tree: Any, parameters: Mapping[str, Any]) -> Iterator[_Site]:
-    waiting: list[tuple[Any, dict[str, Any] | None]] = [(tree, None)]
+    waiting: list[tuple[Any, tuple[dict[str, Any], ...], bool, int]] = [(tree, (), False, 0)]
     while waiting:
-        each, cast = waiting.pop()
+        each, casts, is_within, group = waiting.pop()
         if isinstance(each, list):
-            waiting.extend((inner, None) for inner in each)
+            waiting.extend((inner, (), is_within, group or id(inner)) for inner in each)
         if not isinstance(each, dict):
             continue
         kind = each.get("class")
         literal = each.get("literal") if kind == "CONSTANT" else None
         name = str(each["identifier"]) if kind == "PARAMETER" else None
         text = parameters.get(name) if name is not None else literal and literal.get("text")
-        if isinstance(text, str) and _has_offset(text):
-            at = cast if cast is not None and each["query_location_length"] == 0 else each
-            is_cast = cast is not None and _is_time(cast["type_expr"])
-            yield _Site(each, text, name, at["query_location"], at["query_location_length"], is_cast)
+        to_times = is_within or any(_has_times(cast["type_expr"]) for cast in casts)
+        if to_times and not isinstance(text, str) and (inner := next(_offsets_in(text), None)) is not None:
+            raise QueryError(
+                f"parameter {name} has {inner!r}, whose offset a cast drops: give datetimes, or texts in UTC"
+            )
+        has_zone = bool(casts) and _ZONED.fullmatch(casts[-1]["type_expr"]["type_name"]) is not None
+        if isinstance(text, str) and _has_offset(text) and not has_zone:
+            at = next((one for one in (each, *reversed(casts)) if one["query_location_length"]), each)
+            is_cast = any(_is_time(cast["type_expr"]) for cast in casts)
+            place = at["query_location"], at["query_location_length"]
+            yield _Site(each, text, name, *place, is_cast, is_within and not is_cast, group or id(each))
         if kind == "CAST":
-            waiting.append((each["child"], each if cast is None else cast))
+            waiting.append((each["child"], (*casts, each), is_within or _has_times(each["type_expr"]), group))
         elif each.get("function_name") == "list_value":
-            waiting.extend((argument["expression"], cast) for argument in each["arguments"])
+            one = group or id(each)
+            waiting.extend((argument["expression"], casts, is_within, one) for argument in each["arguments"])
+        elif each.get("type") == "COMPARE_IN":
+            waiting.extend((inner, (), is_within, id(each)) for inner in each["children"])
         else:
-            waiting.extend((inner, None) for inner in each.values())
+            waiting.extend((inner, (), is_within, 0) for inner in each.values())
+
+
+def _offsets_in(value: Any) -> Iterator[str]:
+    """Texts with an offset in a list or record."""
+    if isinstance(value, Mapping | list | tuple):
+        for each in value.values() if isinstance(value, Mapping) else value:
+            yield from _offsets_in(each)
+    elif _has_offset(value):
+        yield value
+
+
+def _has_times(kind: dict[str, Any]) -> bool:
+    """Whether a type is that of times or has such members."""
+    return (
+        re.search(r'"(timestamp|datetime|date)(_\w+)?( without time zone)?"', json.dumps(kind), re.IGNORECASE)
+        is not None
+    )
 
 
 def _is_time(kind: dict[str, Any]) -> bool:
@@ -137,13 +167,23 @@ def _taken_for_times(
     if not probe.asked:
         return [each.is_cast for each in probe.sites]
     _forbid_casts(probe.tree)
-    if not probe.is_valid([]):
+    is_forbidden = probe.is_valid([])
+    if not is_forbidden:
         probe = _Probe(connection, tree, named, values)
         if not probe.is_valid([]):  # its error comes when it runs
-            return [False] * len(probe.sites)
-    if probe.is_valid(probe.asked):
-        return [each.is_cast for each in probe.sites]
-    return [each.is_cast or not probe.is_valid([each]) for each in probe.sites]
+            return [each.is_cast for each in probe.sites]
+    groups: dict[int, list[_Site]] = {}
+    for each in probe.asked:
+        groups.setdefault(each.group, []).append(each)
+    is_text = probe.is_valid(probe.asked)
+    texts = {group for group, sites in groups.items() if is_text or probe.is_valid(sites)}
+    for each in probe.asked:
+        if each.group in texts and (each.is_within or not is_forbidden):  # a comparison may cast it all the same
+            raise QueryError(
+                f"this statement may take {each.text!r} for a time, and would drop its offset: write the moment in UTC "
+                "without one"
+            )
+    return [each.is_cast or each.group not in texts for each in probe.sites]
 
 
 class _Probe:

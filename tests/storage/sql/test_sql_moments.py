@@ -106,3 +106,48 @@ def test_a_zone_that_nobody_knows_is_refused(connection: duckdb.DuckDBPyConnecti
     with pytest.raises(QueryError, match="write its offset"):
         asked(connection, "select time = '2026-11-20 08:00:10 PM' from s")
     assert asked(connection, "select word <> '2026-11-20 08:00:10 PM' from s")
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("(timestamp 'X')::varchar", "2026-11-20 00:00:10"), ("(timestamp 'X')::time::varchar", "00:00:10"),
+        ("cast(timestamp 'X' as timestamp_ns)::varchar", "2026-11-20 00:00:10"),
+        ("'X'::varchar::timestamp::varchar", "2026-11-20 00:00:10"),
+        ("timestamptz 'X' = '2026-11-20 00:00:10Z'::timestamptz", True), ("'X'::timestamptz::timestamp::varchar",
+        "2026-11-20 00:00:10"),
+    ],
+)  # fmt: skip
+def test_a_cast_of_a_cast_is_that_of_the_instant(
+    connection: duckdb.DuckDBPyConnection, expression: str, expected: object
+) -> None:
+    assert asked(connection, f"select {expression.replace('X', '2026-11-20T08:00:10+08:00')}") == expected
+
+
+@pytest.mark.parametrize(
+    ("statement", "parameters"),
+    [
+        ("select count(*) from s a asof join s b on a.word = b.word and a.time >= b.time where a.time = 'X'", None),
+        ("select {'a': time} = {'a': 'X'} from s where time = 'X'", None), ("select ['X']::timestamp[1]", None),
+        ("select {'t': 'X'}::struct(t timestamp)", None), ("select map(['a'], ['X'])::map(varchar, timestamp)", None),
+        ("select lag(time, $n, us) over () from s where time = $t", {"n": 1, "t": "X"}),
+        ("select time = any($l::timestamp_ns[]) from s", {"l": ["X"]}),
+        ("select time >= $l[1]::timestamp from s", {"l": ["X"]}),
+    ],
+)  # fmt: skip
+def test_what_may_be_a_time_and_cannot_be_told_is_refused(
+    connection: duckdb.DuckDBPyConnection, statement: str, parameters: dict[str, Any] | None
+) -> None:
+    """Each of them dropped the offset in silence."""
+    at = "2026-11-20T08:00:10+08:00"
+    given = parameters and {name: at if each == "X" else [at] if each == ["X"] else each
+                            for name, each in parameters.items()}  # fmt: skip
+    with pytest.raises(QueryError, match="offset"):
+        in_utc(connection, statement.replace("X", at), given)
+
+
+def test_members_of_a_list_are_asked_about_at_once(connection: duckdb.DuckDBPyConnection) -> None:
+    moments = ", ".join(f"'2026-11-20T08:00:{second:02}+08:00'" for second in range(60))
+    statement, _ = in_utc(connection, f"select time in ({moments}) from s", None)
+    assert statement.count("+00'") == 60
+    assert "+08:00" not in statement
