@@ -8,6 +8,8 @@ create or replace macro range_ends(source) as table
 with one as materialized (
   select row_number() over () as number, run, unit, signal, steps, points, list_max([abs(p.command) for p in points]) as largest
   from query_table(source) where side = 'both'
+    -- where small rates show no noise, steps of the resolution look like a shortfall
+    and not list_bool_or([p.stands_still and abs(p.command) < 0.5 * list_max([abs(q.command) for q in points]) for p in points])
 ), point as (
   select number, p.command, p.rate, p.output, coalesce(p.u, 0) as u, sign(p.command) as direction, abs(p.command) as size,
     largest

@@ -124,19 +124,23 @@ def test_an_output_that_no_longer_follows_the_rate_is_named(tested: Any, table: 
     clipped = table(gyro=saturated, run="clipped")
     for rate in (0.0, *BOTH, 0.0):
         clipped.step(rate, noise=1e-300 if abs(rate) > 180 else None, procedure="scale_factor")
+    coarse = table(gyro=lambda rate: round(rate / 4.7) * 4.7, run="coarse")  # steps of a sixty-fourth, without noise
+    for rate in (0.0, *BOTH, 0.0):
+        coarse.step(rate, noise=1e-300, procedure="scale_factor")
     remarks = {(row["run"], row["standard"]): row["remark"] or "" for row in tested.metric("scale_factor")}
     both_ways = "the output no longer follows the rate at -300, -250, 250, 300 deg/s: it falls up to 40 % short"
     for standard in ("GJB2426A", "JJF2014"):
         assert remarks["saturated", standard].startswith(both_ways)
         assert remarks["one way", standard].startswith("the output no longer follows the rate at 300 deg/s: ")
         assert remarks["cubic", standard] == remarks["few", standard] == ""
+        assert "no longer follows" not in remarks["coarse", standard]
         assert remarks["clipped", standard].startswith(both_ways)
         assert (
             "stands still at 4 of 22 rates, the largest ones: it is clipped at an end of"
             in remarks["clipped", standard]
         )
     named = tested.metric("scale_factor_repeatability")
-    assert "largest rates of 3 of 4 scale factors the output no longer follows the rate" in named[0]["remark"]
+    assert "largest rates of 3 of 5 scale factors the output no longer follows the rate" in named[0]["remark"]
 
 
 @pytest.mark.long
