@@ -249,10 +249,9 @@ with candidate as materialized (
         then samples || ' of ' || expected || ' samples of its record are there: a PASS needs nine tenths'
       when decision_rule = 'guarded_acceptance' and verdict = 'FAIL' and (upper is null or v <= upper)
         and (lower is null or v >= lower) then format('inside the limit, but by less than the guard band of {:.3g} {} '
-        || '({:.3g} U)', guard, unit_of_measure, guard_factor)
+        || '({:.3g} U)', guard, limit_unit, guard_factor)
       when decision_rule = 'guarded_rejection' and verdict = 'PASS' and (v > upper or v < lower)
-        then format('outside the limit, but by less than the guard band of {:.3g} {} ({:.3g} U)', -guard, unit_of_measure,
-          guard_factor)
+        then format('outside the limit, but by less than the guard band of {:.3g} {} ({:.3g} U)', -guard, limit_unit, guard_factor)
       when decision_rule <> 'interval' then null
       when verdict = 'MARGINAL' and (v_lo is null or v_hi is null)
         then 'the value has no interval, which the rule needs'

@@ -45,7 +45,7 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     short run shows its effects: they are taken from the runs at least half as long as the longest of those whose fits
     count. A power-on within a run has the fit of the whole run. The random walk is at most what averages of the blocks
     beside the declared model bound: the Allan curve of a temperature cycle has that of the declared temperature term.
-    What the fits allow (`ModelNoise.most`) are the medians of their upper bounds.
+    What the fits allow (`ModelNoise.most`) are the lower quartiles of their upper bounds.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
@@ -89,7 +89,10 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         most = max(float(fit[_KEYS[0]]["hi"]) for fit in usable.values())
         white = max(white, min(shown, most))
     walk = min(walk, _most_walk(runs, model))
-    n, b, k = (float(np.median([fit[key]["hi"] for fit in those])) for key, those in zip(_KEYS, fits_of, strict=True))
+    n, b, k = (
+        float(np.quantile([fit[key]["hi"] for fit in those], _QUANTILE))
+        for key, those in zip(_KEYS, fits_of, strict=True)
+    )
     return msgspec.structs.replace(with_turn_on(GivenNoise(white, flicker, walk, None), runs, model), most=(n, b, k))
 
 

@@ -147,3 +147,4 @@ def test_a_walk_that_no_allan_fit_shows_is_no_excess_of_what_the_fits_allow(*, o
     noise = ModelNoise(N=0.05, B=0.05, K=0.36, turn_on=0.15, most=(0.06, 0.15, 1.1) if own_fits else None)
     found = diagnose(runs, BIAS, declared_noise=noise, turn_on_is_declared=False)
     assert found.verdict is (ModelVerdict.NOTHING_MISSING if own_fits else ModelVerdict.UNEXPLAINED)
+    assert any("which do not bound slow noise to less" in each for each in found.limits) is own_fits

@@ -64,6 +64,16 @@ def test_a_guard_band_is_of_the_stated_u_and_what_lacks_u_is_no_accepted_unit(ju
     assert risk["specific_consumer_risk"] == pytest.approx(tail, abs=1e-5)
 
 
+def test_the_guard_band_of_a_reason_is_in_the_unit_of_the_limit(judged: Judged) -> None:
+    body = f'metric = "bias"\nupper = {1 / 3600!r}\nunit_of_measure = "deg/s"\ndecision_rule = "guarded_acceptance"'
+    judged.specify(limits(body))
+    catalog = judged.catalog(
+        [{"unit": "U1", "run": "r1"}], [{"value": 0.98, "lo": 0.9, "hi": 1.06, "U": 0.036, "k": 2.0}]
+    )
+    (row,) = verdicts_of(catalog).verdicts
+    assert row["reason"] == "inside the limit, but by less than the guard band of 1e-05 deg/s (1 U)"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("upper", "unit", "verdict"), [(1.0 / 3600, "deg/s", "PASS"), (0.9 / 3600, "deg/s", "FAIL")])
 def test_a_limit_in_another_unit_is_the_same_limit(judged: Judged, upper: float, unit: str, verdict: str) -> None:

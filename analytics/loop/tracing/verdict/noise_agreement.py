@@ -202,6 +202,11 @@ class NoiseExcess:
         return self.slow_p_value < NOISE_P_VALUE and self.slow_ratio > NOISE_RATIO and self.most_slow_ratio > 1.0
 
     @property
+    def is_slow_excess_allowed(self) -> bool:
+        """Whether there is more slow noise than declared, and no more than the Allan fits that give it allow."""
+        return self.slow_p_value < NOISE_P_VALUE and self.slow_ratio > NOISE_RATIO and self.most_slow_ratio <= 1.0
+
+    @property
     def is_excess(self) -> bool:
         """Whether there is more noise than declared."""
         return self.is_slow_excess or self.is_white_excess
@@ -279,6 +284,14 @@ def disagreements(
             f"variance is {ratio} times theirs, so that small effects may have been attributed to noise",
             f"在300至3600 s的平均时间上噪声小于声明值（未声明时为产品自身Allan曲线的值）：其方差为该值的{ratio}倍，"
             "较小的效应可能被当作噪声",
+        )
+    if excess.is_slow_excess_allowed:
+        yield Bilingual(
+            f"at averages of 300 to 3600 s the variance is {excess.slow_ratio:.2g} times that of the noise taken from "
+            "the unit's own Allan curves, which do not bound slow noise to less: a slow effect of no recorded channel "
+            "cannot be distinguished from it; measure longer runs, or declare the noise (--noise)",
+            f"在300至3600 s的平均时间上方差为取自产品自身Allan曲线的噪声的{excess.slow_ratio:.2g}倍，这些曲线对慢噪声"
+            "的上限并不更低：无法与未记录通道的慢变效应区分；请延长测试，或用--noise声明噪声",
         )
     if scatter is not None and scatter.disagrees_with(declared.turn_on):
         yield Bilingual(
