@@ -15,10 +15,10 @@ from ingest.tables.batches import Batcher, SignalHead, by_time, splits_at_gaps, 
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
+from ingest.tables.grid import SignalGrids
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, CellBlock, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
-from ingest.tables.signal_grids import SignalGrids
 from ingest.tables.steps import StepTracker
 from ingest.tables.time_remarks import (
     coarse_times_remark,

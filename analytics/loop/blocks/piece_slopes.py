@@ -75,8 +75,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
         roughness, bending = (fourth**2).sum(axis=1), squares.sum(axis=1)
         is_rough = roughness > bending  # of swings of six pieces and faster, and short ramps
         range_ = np.ptp(about, axis=1)
-        is_quiet = smooth & (range_ <= WIDE * np.ptp(known))
-        smooth &= ~is_quiet | (roughness < _TURNING * bending)
+        smooth &= (range_ > WIDE * np.ptp(known)) | (roughness < _TURNING * bending)
         # where a swing has no curvature only its noise bends
         smooth &= bends.max(axis=1) <= np.maximum(_KINK * bends.sum(axis=1), WIDE * range_)
         smooth &= ~(is_rough & (fourth.max(axis=1) > np.maximum(_SHARP * usual, WIDE * range_)))
@@ -99,6 +98,10 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     last = np.append(first[1:], size) - 1
     piece_s = piece_ns / 1e9
     seconds = np.add.reduceat(np.full(size, piece_s), first)
+    # what changes across a gap is of no piece
+    across = np.append(0.0, np.where(joined, begin[1:] - end[:-1], 0.0))
+    across[first] = 0.0
+    changes = np.add.reduceat(np.nan_to_num(end - begin) + across, first)
     per_s = piece_s ** -np.arange(1.0, ORDERS)
     turned = (turned_out[last] - turned_in[first]) * per_s / seconds[:, None]
     is_smooth = np.isfinite(turned).all(axis=1)
@@ -108,7 +111,7 @@ def slopes_of(start_ns: IntArray, mean: FloatArray, spread: FloatArray, number: 
     is_smooth |= is_clear & moves & np.logical_and.reduceat(np.isfinite(mean), first)
     return Slopes(
         np.nan_to_num((end - begin) / piece_s),
-        np.nan_to_num((end[last] - begin[first]) / seconds),
+        changes / seconds,
         np.nan_to_num((turned_out - turned_in) * per_s / piece_s),
         np.nan_to_num(turned),
         is_smooth,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from storage.lake.channel_row import ChannelRow
+from storage.lake.channel_buffer import ChannelRow
 from storage.lake.quarantine import event_row
 from storage.lake.segment_content import channel_id
 from storage.lake.tables import TABLES

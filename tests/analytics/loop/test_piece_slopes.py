@@ -67,6 +67,18 @@ def test_slopes_of_ramps_and_dwells_are_those_of_the_seconds(noise: float) -> No
     assert off < 0.005 * np.sqrt(np.mean(exact**2))
 
 
+def test_a_gap_within_a_block_has_no_slope() -> None:
+    """The mean over the seconds that are known; the change across the gap had been divided by them as well."""
+    known = (SECONDS % 30 < 8) | (SECONDS % 30 > 17)
+    start_ns = (SECONDS[known] * 1e9).astype(np.int64)
+    number = (SECONDS[known] // 30).astype(np.int64)
+    found = slopes_of(start_ns, swing(200.0, SECONDS[known]), np.zeros(number.size), number)
+    derivative = mean_slopes(200.0, 1)
+    exact = np.array([derivative[known & (block == SECONDS // 30)].mean() for block in range(120)])
+    assert found.is_smooth.all()
+    np.testing.assert_allclose(found.of_blocks, exact, rtol=0, atol=0.01 * np.abs(exact).max())
+
+
 def test_a_rate_reference_of_one_reading_a_second_has_them(tested: TestedUnits) -> None:
     tested.run("r1")
     for signal, unit in (("rate", "deg/h"), ("input_rate", "deg/s")):

@@ -90,7 +90,7 @@ def test_a_zero_that_drifts_through_the_rates_is_named_with_what_it_changes(test
 
 
 def check_drift(found: dict[str, list[dict[str, Any]]], order: str) -> None:
-    """What is said of the drift through the rates in an order, and of what it does to each metric."""
+    """Remark on the drift of the zero in an order of rates, and on how it changes each metric."""
     rates = ORDERS[order]
     drift, x = drift_through(rates), np.array(rates)
     lines = [np.polyfit(x[side], drift[side], 1) for side in (x != 0, x > 0, x < 0)]

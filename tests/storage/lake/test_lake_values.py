@@ -4,6 +4,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def forge(store: Store, part: str, table: str, change: Callable[[pa.Table], pa.T
     write_manifest(store, msgspec.structs.replace(manifest, parts=parts))
 
 
-def changed(table: pa.Table, column: str, by: float | str) -> pa.Table:
+def changed(table: pa.Table, *, column: str, by: float | str) -> pa.Table:
     """The table with another value in a row of that column."""
     values = table.column(column).to_pylist()
     at = next(index for index in range(len(values) // 2, len(values)) if values[index] is not None)
@@ -112,7 +113,8 @@ def test_a_changed_value_is_found_in_each_table(merged: Store, tables: tuple[str
     paths = set()
     for table in tables:
         part = part_with(merged, table)
-        forge(merged, part, table, lambda rows, table=table: changed(rows, *CHANGES[table]))  # type: ignore[misc]
+        column, by = CHANGES[table]
+        forge(merged, part, table, partial(changed, column=column, by=by))
         paths.add(str(merged.lake / part / f"{table}.parquet"))
     assert list(lake_problems(merged)) == [], "the hashes fit"
     found = list(value_findings(merged))
@@ -147,7 +149,7 @@ def test_two_values_exchanged_are_found(merged: Store) -> None:
 
 
 def test_the_command_says_what_was_compared(merged: Store, gyrofleet: Any) -> None:
-    forge(merged, read_manifest(merged).parts[0].name, "samples", lambda rows: changed(rows, "above", 50))
+    forge(merged, read_manifest(merged).parts[0].name, "samples", partial(changed, column="above", by=50))
     plain = gyrofleet("verify", "--store", merged.folder)
     assert plain.code == 0
     assert "its values not compared with the log: --values" in plain.out
@@ -169,17 +171,16 @@ def test_a_column_that_is_taken_away_is_found(merged: Store) -> None:
         return {Path(each.where).stem: each.what for each in findings}
 
     for table, column in TAKEN.items():
-        forge(merged, parts[table], table, lambda rows, column=column: rows.drop_columns([column]))  # type: ignore[misc]
-    said = found()
-    assert said.keys() == TAKEN.keys()
-    assert all(said[table].startswith(f"its columns are others ({column})") for table, column in TAKEN.items())
+        forge(merged, parts[table], table, partial(pa.Table.drop_columns, columns=[column]))
+    others = found()
+    assert others.keys() == TAKEN.keys()
+    assert all(others[table].startswith(f"its columns are others ({column})") for table, column in TAKEN.items())
     for table, column in TAKEN.items():
-        upper = column.upper()
-        forge(merged, parts[table], table, lambda rows, name=upper: added(rows, name))  # type: ignore[misc]
-    said = found()  # SQL reads it whatever its case
-    assert said.keys() == TAKEN.keys()
+        forge(merged, parts[table], table, partial(added, column=column.upper()))
+    others = found()  # SQL reads it whatever its case
+    assert others.keys() == TAKEN.keys()
     for table, column in TAKEN.items():
-        assert said[table].startswith(f"its columns are others ({column}, {column.upper()})")
+        assert others[table].startswith(f"its columns are others ({column}, {column.upper()})")
 
 
 def test_a_flag_of_a_channel_is_compared_where_a_part_is_of_one_segment(documented: Filler) -> None:
