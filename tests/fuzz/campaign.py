@@ -1,9 +1,10 @@
 """Inputs that are nearly right, to every format that gyrofleet reads.
 
 ``python -m tests.fuzz.campaign csv --seconds 3600``. Without names, all formats; each is read in a process of its own,
-whose memory is limited. ``--guided`` lets coverage choose what is mutated further (`tests.fuzz.guided`). An input that
-shows something is kept in ``--keep FOLDER``; moved to ``tests/fuzz/found/FORMAT``, it is read first ever after, also in
-the gate.
+whose memory is limited. ``--guided`` lets coverage choose what is mutated further (`tests.fuzz.guided`); with
+``--resume FOLDER`` a campaign that was ended continues there until its seconds are reached. An input that shows
+something is kept in ``--keep FOLDER``; moved to ``tests/fuzz/found/FORMAT``, it is read first ever after, also in the
+gate.
 """
 
 import argparse
@@ -121,11 +122,12 @@ def tried(form: Format, seed: int, seconds: float, *, most: int | None = None, k
 
 
 def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
-    """The result of a campaign that coverage guides."""
+    """The result of a campaign that coverage guides; with ``--resume``, with all that was run before."""
     with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
-        result = Path(temporary) / "result"
+        folder = Path(temporary) if arguments.resume is None else arguments.resume / name.replace(" ", "-")
+        folder.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "tests.fuzz.guided", name, str(arguments.seconds), str(arguments.seed)]
-        command += [str(result), *([] if arguments.keep is None else [str(arguments.keep)])]
+        command += [str(folder), *([] if arguments.keep is None else [str(arguments.keep)])]
         # numba cannot compile what is instrumented
         env = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
         seconds = 20 * arguments.seconds + 5 * _KILL_S  # `arguments.seconds` are processor time there
@@ -136,9 +138,10 @@ def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
             what = "" if done.returncode == 0 else f"the process ended with {done.returncode}"
         except subprocess.TimeoutExpired:
             what = "the process had to be killed"
-        for crash in Path(temporary).glob("crash-*") if arguments.keep is not None else ():
+        for crash in folder.glob("crash-*") if arguments.keep is not None else ():
             arguments.keep.mkdir(parents=True, exist_ok=True)
             shutil.copy(crash, arguments.keep / f"{name}-{crash.name}")
+        result = folder / "result.json"
         found: dict[str, Any] = {"format": name, "inputs": 0, "seconds": arguments.seconds, "findings": {}}
         if result.exists():
             found = json.loads(result.read_text())
@@ -163,6 +166,9 @@ def main() -> None:
     parser.add_argument("--guided", action="store_true", help="Coverage chooses what is mutated further.")
     parser.add_argument(
         "--gate", type=int, const=1, nargs="?", metavar="N", help="Few inputs of each format, or an Nth of these."
+    )
+    parser.add_argument(
+        "--resume", type=Path, metavar="FOLDER", help="Continue the guided campaigns of this folder until --seconds."
     )
     parser.add_argument("--keep", type=Path, help="Folder for inputs that show something.")
     parser.add_argument("--json", action="store_true")
