@@ -137,7 +137,7 @@ def _shift(series: MetricSeries, shift: LevelShift) -> Words:
     there = "shift_units" if shift.station else "shift_units_all"
     units = words("shift_units_few" if shift.units < LEAST_UNITS else there, n=shift.units)
     doubt = NOTHING if shift.is_plain else words("shift_doubt", chance=shift.wander)
-    sentence = "shift_possible" if shift.lo <= 0.0 <= shift.hi else "shift"
+    sentence = "shift" if shift.is_certain else "shift_possible"
     return words(sentence, **_shift_parts(series, shift), units=units, doubt=doubt)
 
 
@@ -156,9 +156,8 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     series, unit = chart.series, chart.series.unit_of_measure
     if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
         for change in chart.changes.points:
-            is_possible = change.lo <= 0.0 <= change.hi
             yield words(
-                "change_possible" if is_possible else "change", size=interval(change.size, change.lo, change.hi, unit),
+                "change" if change.is_certain else "change_possible", size=interval(change.size, change.lo, change.hi, unit),
                 before=moment(series, change.first - 1), after=moment(series, change.last),
                 here=f"{series.unit[change.at]}, {moment(series, change.at)}",
             )  # fmt: skip

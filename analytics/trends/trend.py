@@ -71,7 +71,7 @@ class Chart(NamedTuple):
         points: list[ChangePoint | LevelShift] = [*self.shifts]
         if isinstance(self.changes, Changes):
             points += self.changes.points
-        return any(not each.lo <= 0.0 <= each.hi for each in points)
+        return any(each.is_certain for each in points)
 
     @property
     def drift_chance(self) -> float | None:

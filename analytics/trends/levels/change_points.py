@@ -38,6 +38,11 @@ class ChangePoint(NamedTuple):
     lo: float
     hi: float
 
+    @property
+    def is_certain(self) -> bool:
+        """Whether its bounds exclude no change."""
+        return not self.lo <= 0.0 <= self.hi
+
 
 class Changes(NamedTuple):
     """The changes of level of a series."""

@@ -73,7 +73,7 @@ def found_effects(
 
 
 def _certain(shifts: tuple[LevelShift, ...]) -> tuple[LevelShift, ...]:
-    return tuple(each for each in shifts if not each.lo <= 0.0 <= each.hi and each.units >= LEAST_UNITS)
+    return tuple(each for each in shifts if each.is_certain and each.units >= LEAST_UNITS)
 
 
 def _step_columns(series: MetricSeries, shifts: tuple[LevelShift, ...]) -> FloatArray:

@@ -34,6 +34,11 @@ class LevelShift(NamedTuple):
     units: int  # units that were measured there before and after
 
     @property
+    def is_certain(self) -> bool:
+        """Whether its bounds exclude no change."""
+        return not self.lo <= 0.0 <= self.hi
+
+    @property
     def is_plain(self) -> bool:
         """Whether a slow wander of the station does not explain it."""
         return self.wander <= PLAIN
@@ -52,8 +57,8 @@ class LevelShifts(NamedTuple):
 
     shifts: tuple[LevelShift, ...]  # in order of time
     unsteady: Unsteady | None  # none where sessions differ no more than by chance
-    # shape (n,); of each value: the level of its station then plus the deviation from the value expected of its unit
-    # and station, scaled to the noise of one measurement
+    # shape (n,); of each value: the level of its station then, by the shifts that are certain, plus the deviation from
+    # the value expected of its unit and station, scaled to the noise of one measurement
     points: FloatArray
 
 
@@ -94,13 +99,16 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
             break
         found.append(best)
         search = search.with_step(best.step)
-    shifts = (_located(search.without(each.step), sums, each, layout, scale) for each in found)
+    shifts = [_located(search.without(each.step), sums, each, layout, scale) for each in found]
     unsteady = None
     if (scatter := search.unsteady(sums, false_alarm / 2)) is not None:
         deviation, chance = scatter
         best = search.best(sums)
         largest = None if best is None else _located(search, sums, best, layout, scale)
         unsteady = Unsteady(deviation * scale, chance, largest)
+    for each, shift in zip(found, shifts, strict=True):
+        if not shift.is_certain:  # in the points it would look like a drift, or a change, that is certain
+            search = search.without(each.step)
     expected, spread = search.residuals(y)
     level = search.levels(model.sums(y))[model.session]
     points = middle + scale * (level + (y - expected) / spread)
