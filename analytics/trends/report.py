@@ -157,7 +157,8 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
         for change in chart.changes.points:
             yield words(
-                "change" if change.is_certain else "change_possible", size=interval(change.size, change.lo, change.hi, unit),
+                "change" if change.is_certain else "change_possible",
+                size=interval(change.size, change.lo, change.hi, unit),
                 before=moment(series, change.first - 1), after=moment(series, change.last),
                 here=f"{series.unit[change.at]}, {moment(series, change.at)}",
             )  # fmt: skip
