@@ -21,7 +21,7 @@ from stream.security.authority import check_authority
 from stream.security.proof import SourceVerifier, split
 from stream.security.rights import Principal, Role
 from stream.wire.acknowledgement import StreamId
-from stream.wire.batches import decode_batch, encode_preview, read_batch_head
+from stream.wire.batches import encode_preview, read_batch_head
 from stream.wire.event_validation import decode_received
 
 MAX_REJECT_BYTES = 64 << 10
@@ -232,9 +232,7 @@ class Intake:
             # signals that begin together take turns afterwards
             early_ns = zlib.crc32(key.encode()) % _PREVIEW_INTERVAL_NS if shown_ns is None else 0
             self._previewed[key] = t0_ns - early_ns
-            batch = decode_batch(payload).part(0, 1)
-            data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
-            self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
+            self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, encode_preview(body)))
 
     def _add_document(
         self, key: str, parsed: EventKey | EstimateKey, payload: bytes, body: bytes, arrival_ns: int,

@@ -1,6 +1,7 @@
 """Wire form of sample batches: Protobuf, arrays as little-endian bytes (``samples.proto``)."""
 
 import functools
+import struct
 from math import isfinite
 from typing import NamedTuple
 from uuid import UUID
@@ -240,9 +241,24 @@ def _shown(name: str) -> str:
     return name[:MAX_NAME_CHARS] if name.isprintable() else ascii(name[:MAX_NAME_CHARS])
 
 
-def encode_preview(value: float, unit_of_measure: str) -> bytes:
-    """One sample in the form that plotting tools read."""
-    return bytes(samples_pb2.Preview(value=value, unit_of_measure=unit_of_measure).SerializeToString())
+def encode_preview(payload: bytes) -> bytes:
+    """The first sample of a whole batch in the form that plotting tools read.
+
+    Only its own bytes are read: a recorder needs no machine code.
+    """
+    message = samples_pb2.SampleBatch.FromString(payload)
+    n = message.samples
+    if values := message.values:
+        (value,) = struct.unpack_from("<d", values)
+    else:
+        if residuals := message.count_residuals:
+            count = join_counts(residuals[:MEAN_BYTES] + residuals[MEAN_BYTES::n], 1)
+        elif planes := message.count_planes:
+            count = join_planes(planes[::n], 1)
+        else:
+            count = np.frombuffer(message.counts, "<i4", 1)
+        value = int(count[0]) * message.scale + message.offset
+    return bytes(samples_pb2.Preview(value=value, unit_of_measure=message.unit_of_measure).SerializeToString())
 
 
 def sample_descriptors() -> bytes:

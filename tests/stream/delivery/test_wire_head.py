@@ -6,11 +6,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_array_equal
 
-from stream.batch import SampleBatch
+from stream.batch import CountArray, SampleBatch
 from stream.errors import BadInput, WireError
 from stream.wire import samples_pb2
-from stream.wire.batches import decode_batch, encode_batch, read_batch_head, read_wire_batch
+from stream.wire.batches import decode_batch, encode_batch, encode_preview, read_batch_head, read_wire_batch
 
 int64s = st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(-3, 3), st.sampled_from([2**63 - 1, -(2**63)]))
 sizes = st.sampled_from([0, 0, 1, 2, 3])
@@ -74,6 +75,18 @@ def test_all_ways_of_reading_refuse_the_same_and_agree(payload: bytes) -> None:
     assert wire.meaning[:4] == (batch.epoch.bytes, batch.dt_ns, batch.unit_of_measure, batch.irregular)
     arrays = [b"" if each is None else each.tobytes() for each in (batch.counts, batch.values, batch.times_ns)]
     assert [wire.counts, wire.values, wire.times_ns] == arrays
+    preview = samples_pb2.Preview.FromString(encode_preview(payload))
+    assert preview.unit_of_measure == batch.unit_of_measure
+    with np.errstate(all="ignore"):
+        assert_array_equal(preview.value, batch.value_array[0])
+
+
+@given(hnp.arrays(np.int32, st.integers(1, 40)), st.booleans())
+def test_a_preview_is_the_first_sample(counts: CountArray, are_values: bool) -> None:
+    given = {"values": counts / 7.0} if are_values else {"counts": counts, "scale": 0.25, "offset": 3.0}
+    batch = SampleBatch("U1", "rate", "r1", UUID(int=1), 0, 0, 1000, "deg/s", **given)
+    preview = samples_pb2.Preview.FromString(encode_preview(encode_batch(batch)))
+    assert preview.value == batch.value_array[0]
 
 
 @given(int64s, int64s, int64s, st.none() | hnp.arrays(np.int64, 2, elements=int64s), st.floats())
