@@ -22,6 +22,7 @@ from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, Si
 from ingest.tables.steps import StepTracker
 from ingest.tables.time_remarks import (
     coarse_times_remark,
+    even_losses_remarks,
     future_remark,
     rate_change_remarks,
     repeated_hour_remark,
@@ -139,6 +140,7 @@ class TableFile:
             found.append(repeated_hour_remark(first_ns, last_ns, zone))
         yield from filter(None, found)
         yield from rate_change_remarks(signals)
+        yield from even_losses_remarks(signals, self._time_title)
         coarse = Counter(
             (each.sampling.step_ns, each.sampling.dt_ns, each.sampling.missing_share > _MANY_MISSING)
             for each in signals if each.sampling.step_ns

@@ -11,13 +11,19 @@ from ingest.tables.checks import GoodRows, Owner
 from stream.batch import IntArray
 from stream.bounds import MAX_INTERVAL_NS
 from stream.defects.rate_changes import RateChange, RateChanges
+from stream.defects.rounded_times import (
+    LEAST_ROUNDED,
+    MOST_ROUNDING,
+    about_a_line,
+    coarsely_rounded,
+    evenly_lost,
+    longest_stretch,
+    median_ns,
+)
 
 MEDIAN_INTERVALS = 10_000
 _GRID_TOLERANCE = 0.1
 _MULTIPLE = 0.01  # of an interval: within it, a grid of rounded times is that of the samples
-_MOST_ROUNDING = 0.25  # of an interval: coarser times do not show that the samples are on a grid
-_LEAST_ROUNDED = 30  # intervals of the rarer length that show rounding
-_MOST_RANGE = 0.4  # of the times about an even grid, by what losses at random would make of it
 _GEOMETRIC = 5.0  # standard deviations that the shortest intervals may be away from their number by chance
 _MOSTLY = 0.9  # of the intervals, of times on a grid
 _GAP_OF_JITTERED = 2.2  # of an interval: longer than two times moved apart by half of one
@@ -35,6 +41,8 @@ class Sampling:
     lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has a
     median of 10 ms.) Where times are rounded to more than a quarter of the interval, as those in 32-bit floats after a
     day, or are about an even grid without being on it, it is that of a line through the longest stretch without losses.
+    `even_dt_ns`: that of even samples without a loss whose times, rounded to `dt_ns`, would be the same, as those of 98
+    Hz in hundredths of a second; else 0. The times do not show which of the two is true.
     `off_grid`: intervals further than a tenth of the nominal one (or than the step to which the times are rounded, up
     to a quarter) from every multiple of it. Gaps of more than ten intervals are excepted: after such a gap the source
     may have restarted with another grid.
@@ -47,6 +55,7 @@ class Sampling:
     off_grid: int
     worst_ns: int  # largest distance of such an interval from a multiple of the nominal one, nanoseconds
     gaps: int  # intervals longer than 1.5 nominal ones
+    even_dt_ns: int = 0
     step_ns: int = 0  # to which the times of even samples are rounded, if it is over a quarter of the interval; else 0
     rate_changes: tuple[RateChange, ...] = ()
 
@@ -79,7 +88,7 @@ class SamplingGrid:
         self._early: list[IntArray] = []
         self._samples = self._first_ns = self._last_ns = 0
         self._dt_ns: int | None = None
-        self._off_grid = self._worst_ns = self._gaps = self._step_ns = 0
+        self._off_grid = self._worst_ns = self._gaps = self._step_ns = self._even_dt_ns = 0
         self._rates = RateChanges()
 
     def add(self, times_ns: IntArray) -> None:
@@ -103,7 +112,7 @@ class SamplingGrid:
         dt_ns = self._settle() if self._dt_ns is None else self._dt_ns
         return Sampling(
             self._samples, self._first_ns, self._last_ns, dt_ns, self._off_grid, self._worst_ns, self._gaps,
-            self._step_ns, tuple(self._rates.found),
+            self._even_dt_ns, self._step_ns, tuple(self._rates.found),
         )  # fmt: skip
 
     def _settle(self) -> int:
@@ -111,7 +120,7 @@ class SamplingGrid:
         intervals_ns = times_ns[1:] - times_ns[:-1]
         self._early.clear()
         dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
-        if (rounded := _coarsely_rounded(intervals_ns[:MEDIAN_INTERVALS])) is not None:
+        if (rounded := coarsely_rounded(intervals_ns[:MEDIAN_INTERVALS])) is not None:
             dt_ns, self._step_ns = rounded
         elif (finer := _grid_with_losses(intervals_ns[:MEDIAN_INTERVALS])) is not None:
             dt_ns = finer
@@ -120,6 +129,7 @@ class SamplingGrid:
         if self._from_measured is not None:
             dt_ns = self._from_measured(intervals_ns, dt_ns)
         self._dt_ns = dt_ns = min(dt_ns, MAX_INTERVAL_NS)  # two samples decades apart have a gap between them
+        self._even_dt_ns = evenly_lost(intervals_ns[:MEDIAN_INTERVALS], dt_ns)
         self._judge(intervals_ns, dt_ns)
         return dt_ns
 
@@ -131,7 +141,7 @@ class SamplingGrid:
             self._worst_ns = max(self._worst_ns, worst_ns)
             self._gaps += int(np.count_nonzero(is_gap(others, dt_ns)))
             if off_grid and not self._step_ns:  # floats of 32 bits become coarse as the record goes on
-                rounded = _coarsely_rounded(intervals_ns[-MEDIAN_INTERVALS:])
+                rounded = coarsely_rounded(intervals_ns[-MEDIAN_INTERVALS:])
                 self._step_ns = rounded[1] if rounded is not None else 0
 
 
@@ -156,7 +166,7 @@ def _rounding_ns(intervals_ns: IntArray, dt_ns: int) -> int:
     """
     step_ns = int(np.gcd.reduce(intervals_ns))
     beside_ns = abs(dt_ns - round(dt_ns / step_ns) * step_ns)
-    return step_ns if beside_ns > _MULTIPLE * dt_ns and step_ns <= _MOST_ROUNDING * dt_ns else 0
+    return step_ns if beside_ns > _MULTIPLE * dt_ns and step_ns <= MOST_ROUNDING * dt_ns else 0
 
 
 def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -166,52 +176,13 @@ def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtyp
 
 def _nominal(intervals_ns: IntArray) -> int:
     """Mean of the intervals near a multiple of the median, which is a rough guess where times are rounded."""
-    dt_ns = _median(intervals_ns)
+    dt_ns = median_ns(intervals_ns)
     for _ in range(2):
         multiples = np.maximum(np.rint(intervals_ns / dt_ns).astype(np.int64), 1)
         near = (np.abs(intervals_ns - multiples * dt_ns) <= 0.25 * dt_ns) & (multiples <= _RESTART)
         if near.any():
             dt_ns = max(1, round(int(intervals_ns[near].sum()) / int(multiples[near].sum())))
     return dt_ns
-
-
-def _coarsely_rounded(intervals_ns: IntArray) -> tuple[int, int] | None:
-    """Mean interval of even samples whose times are rounded to more than a quarter of it, and that step.
-
-    Rounded times stay within a step of an even grid. Samples lost at random move the later ones away from it: if a
-    share p of n intervals is longer, by about sqrt(n p (1 - p)) steps. Times that range over less than 0.4 of that,
-    with at least 30 intervals of the rarer length, are rounded: losses stayed so near in 2 of 2,700,000 simulated
-    records, and rounded times in all of 20,000 within 0.26 (Kuiper's statistic, doi:10.1016/S1385-7258(60)50006-0).
-
-    >>> times_ms = np.round(np.arange(300) * 1000 / 60, -1).astype(int)
-    >>> _coarsely_rounded(np.diff(times_ms) * 10**6)
-    (16666517, 10000000)
-    >>> _coarsely_rounded(np.full(300, 10**7)) is None
-    True
-    """
-    if len(intervals_ns) < _LEAST_ROUNDED or not (intervals_ns != intervals_ns[0]).any():
-        return None
-    step_ns = int(np.gcd.reduce(intervals_ns))
-    if step_ns < _MOST_ROUNDING * _median(intervals_ns) / 2:
-        return None
-    steps, counts = np.unique(intervals_ns // step_ns, return_counts=True)
-    pairs = counts + np.where(np.append(np.diff(steps), 0) == 1, np.append(counts[1:], 0), 0)
-    low = int(steps[np.argmax(pairs)])
-    is_loss = (intervals_ns < low * step_ns) | (intervals_ns > (low + 1) * step_ns)
-    edges = np.concatenate([[-1], np.flatnonzero(is_loss), [len(intervals_ns)]])
-    longest = int(np.argmax(np.diff(edges)))
-    stretch_ns = intervals_ns[edges[longest] + 1 : edges[longest + 1]]
-    rarer = min(int(np.count_nonzero(stretch_ns == low * step_ns)), int(np.count_nonzero(stretch_ns > low * step_ns)))
-    if rarer < _LEAST_ROUNDED:
-        return None
-    times_ns = np.cumsum(stretch_ns)
-    places = np.arange(len(times_ns)) - (len(times_ns) - 1) / 2
-    mean_ns = float(places @ times_ns / (places @ places))  # the slope: of first and last, rounding would stay
-    away_ns = times_ns - mean_ns * places
-    spread_ns = step_ns * math.sqrt(rarer * (1 - rarer / len(stretch_ns)))
-    if step_ns <= _MOST_ROUNDING * mean_ns or np.ptp(away_ns) > _MOST_RANGE * spread_ns:
-        return None
-    return round(mean_ns), step_ns
 
 
 def _grid_with_losses(intervals_ns: IntArray) -> int | None:
@@ -224,10 +195,10 @@ def _grid_with_losses(intervals_ns: IntArray) -> int | None:
     >>> _grid_with_losses(np.diff(kept)), _grid_with_losses(np.full(100, 10))
     (500000000, None)
     """
-    if len(intervals_ns) < _LEAST_ROUNDED:
+    if len(intervals_ns) < LEAST_ROUNDED:
         return None
     shortest_ns = int(intervals_ns.min())
-    if 2 * shortest_ns > 1.5 * _median(intervals_ns):
+    if 2 * shortest_ns > 1.5 * median_ns(intervals_ns):
         return None
     near = intervals_ns[intervals_ns < (1 + 2 * _GRID_TOLERANCE) * shortest_ns]
     grid_ns = round(float(near.mean()))
@@ -253,27 +224,17 @@ def _grid_of_jittered(intervals_ns: IntArray, dt_ns: int) -> int | None:
     >>> _grid_of_jittered(np.diff(np.delete(times, 2500)), 99_800_000) is None
     True
     """
-    if len(intervals_ns) < _LEAST_ROUNDED:
+    if len(intervals_ns) < LEAST_ROUNDED:
         return None
     multiples = np.maximum(np.rint(intervals_ns / dt_ns), 1)
     on_grid = np.abs(intervals_ns - multiples * dt_ns) <= _GRID_TOLERANCE * dt_ns
     if on_grid.mean() > _MOSTLY:
         return None
-    edges = np.concatenate([[-1], np.flatnonzero(intervals_ns > _GAP_OF_JITTERED * dt_ns), [len(intervals_ns)]])
-    longest = int(np.argmax(np.diff(edges)))
-    times_ns = np.concatenate([[0], np.cumsum(intervals_ns[edges[longest] + 1 : edges[longest + 1]])])
-    if len(times_ns) <= _LEAST_ROUNDED:
+    times_ns = np.cumsum(np.append(0, longest_stretch(intervals_ns, intervals_ns > _GAP_OF_JITTERED * dt_ns)))
+    if len(times_ns) <= LEAST_ROUNDED:
         return None
-    places = np.arange(len(times_ns)) - (len(times_ns) - 1) / 2
-    mean_ns = float(places @ times_ns / (places @ places))
-    away_ns = times_ns - times_ns.mean() - mean_ns * places
+    mean_ns, away_ns = about_a_line(times_ns)
     return round(mean_ns) if np.abs(away_ns).max() <= mean_ns / 2 else None
-
-
-def _median(intervals_ns: IntArray) -> int:
-    half = len(intervals_ns) // 2
-    ordered = np.partition(intervals_ns, [max(half - 1, 0), half])
-    return int(ordered[half]) if len(ordered) % 2 else (int(ordered[half - 1]) + int(ordered[half])) // 2
 
 
 class SignalGrids:

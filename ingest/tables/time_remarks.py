@@ -4,6 +4,7 @@ are written too coarsely for the samples, sample rates that change.
 
 import shlex
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -97,6 +98,25 @@ def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, h
         f"{dt_ns / 1e9:.6g} s on average: their times are taken as they are, as irregular, and single losses are not "
         f"seen; {even}"
     )
+
+
+def even_losses_remarks(signals: Sequence[SignalSummary], title: str = "") -> Iterator[str]:
+    """Warnings on samples that are missing so evenly that their times may be rounded instead; with a table's column."""
+    for (dt_ns, even_ns), number in Counter(
+        (each.sampling.dt_ns, each.sampling.even_dt_ns) for each in signals
+    ).items():
+        if not even_ns:
+            continue
+        which = "1 signal" if number == 1 else f"{number} signals"
+        every, step = round(even_ns / (even_ns - dt_ns)), f"{dt_ns / 1e9:.6g} s"
+        rounded, advice = "the log rounds its times", ""
+        if title:
+            rounded, advice = f"column {title!r} is rounded", f"; {_evenly(title, f'{1e9 / even_ns:.6g}')}"
+        yield (
+            f"warning: of {which} about one sample in {every} is missing, evenly, by times in whole steps of {step}; "
+            f"samples every {even_ns / 1e9:.6g} s of which none is missing have the same times where {rounded} to "
+            f"{step}: the times do not show which is true, and the samples are taken as missing{advice}"
+        )
 
 
 def rate_change_remarks(signals: Sequence[SignalSummary]) -> Iterator[str]:

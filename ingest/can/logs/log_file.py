@@ -19,7 +19,7 @@ from ingest.tables.batches import Batcher, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.time_remarks import rate_change_remarks
+from ingest.tables.time_remarks import even_losses_remarks, rate_change_remarks
 from ingest.tables.times import RunClock
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
@@ -94,7 +94,7 @@ class CanLogFile:
             steps=0 if self._words is None else len({unit for unit, _ in grids}), signals=tuple(signals),
             counted="frames", damage=self._log.damage,
             remarks=(*filter(None, [self._log.note]), *self._plan.remarks, *remarks(counts, self._log.counts),
-                     *rate_change_remarks(signals)),
+                     *rate_change_remarks(signals), *even_losses_remarks(signals)),
             frames=counts, words=self._words,
         )  # fmt: skip
         return self._summary

@@ -150,3 +150,23 @@ def test_times_about_a_grid_give_its_interval_and_no_second_is_missing(
     means = (np.bincount(second, values) / np.bincount(second))[1:-1]
     assert of_1_s["n"] >= len(seconds) - 2
     assert of_1_s["value"] == pytest.approx(means.std(ddof=1), rel=2e-3)
+
+
+@pytest.mark.parametrize("lost", [(9,), (9, 10), (9, 11)])
+def test_losses_that_return_regularly_are_no_rounding(lost: tuple[int, ...]) -> None:
+    kept = np.flatnonzero(~np.isin(np.arange(60_000) % 50, lost)).astype(np.int64)
+    found = sampling(kept * 10_000_000)
+    assert (found.dt_ns, found.step_ns, found.irregular) == (10_000_000, 0, False)
+    assert found.missing_share == pytest.approx(len(lost) / 50, abs=1e-3)
+    # of a loss in every 50, even samples of 98 Hz would have the same times; of two, none have them
+    assert found.even_dt_ns == pytest.approx(1e9 / 98 if len(lost) == 1 else 0, rel=1e-6)
+
+
+def test_even_losses_may_be_rounding_and_both_are_reported(tmp_path: Path) -> None:
+    path = tmp_path / "even.csv"
+    rows = (f"{i * 0.01:.2f},{i % 7}\n" for i in range(3000) if i % 50 != 9)
+    path.write_text(f"time[s],rate[deg/s]\n{''.join(rows)}")
+    (remark,) = TableFile(path, TableOptions(unit="U1")).check().remarks
+    assert remark.startswith("warning: of 1 signal about one sample in 50 is missing, evenly, by times in whole steps")
+    assert "samples every 0.0102041 s" in remark
+    assert "--rename 'time[s]=' --sample-rate 98" in remark
