@@ -50,11 +50,11 @@ class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     id: int | None = None  # arbitration id in the database, if it has several messages of that name
     unit: str | None = None  # the unit that sends it, under the database's own id
     ids: dict[str, int] = {}  # unit to arbitration id, if several units send it
-    channels: dict[str, int] = {}  # unit to channel, if one unit is on each
+    channels: dict[str, int] = {}  # unit to channel, from 0 in every format, if one unit is on each
     sources: dict[str, int] = {}  # unit to source address, if several units send a J1939 message
     multiplexer: str | None = None  # a signal that says whose frame it is
     units: dict[str, int] = {}  # unit to raw value of the multiplexer
-    channel: int | None = None  # channel that counts; by default the first that comes
+    channel: int | None = None  # channel that counts, from 0; by default the first that comes
     source: int | None = None  # J1939 source address that counts; by default the first that comes
     signals: dict[str, str | SignalEntry] = {}  # name in the database to name here; by default all, in lower case
     counter: CounterEntry | None = None  # tells lost frames

@@ -36,7 +36,6 @@ def messages(count: int) -> list[can.Message]:
 def written(path: Path, frames: list[can.Message]) -> Path:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # asammdf's own, on writing
-        # TRC knows one channel
         with can.Logger(path) as logger:
             for frame in frames:
                 logger.on_message_received(frame)
@@ -66,8 +65,7 @@ def test_every_frame_of_every_format(tmp_path: Path, suffix: str) -> None:
     assert [(identifier, data) for _, _, identifier, data in found] == [
         (each.arbitration_id | (EXTENDED if each.is_extended_id else 0), bytes(each.data)) for each in frames
     ]
-    if suffix != ".trc":
-        assert {channel for _, channel, _, _ in found} == {0, 1}
+    assert [channel for _, channel, _, _ in found] == [each.channel for each in frames]
     times_ns = np.array([t_ns for t_ns, *_ in found])
     expected_ns = 1_700_000_000_250_000_000 + np.arange(2500) * 1_250_000
     # python-can's TRC has 0.1 ms and its own zero, its ASC the computer's time zone: right from frame to frame

@@ -255,6 +255,14 @@ DAMAGED = {
 }
 
 
+def test_buses_of_a_trc_count_from_0_as_the_channels_of_all_other_formats(tmp_path: Path) -> None:
+    """Mappings would give the data of one unit to another."""
+    rows = [f"   {at}   {at}0.0 DT {bus} 0100 Rx - 2 0{at} 00" for at, bus in enumerate((1, 2, 1))]
+    (tmp_path / "v.trc").write_text(TRC + "\n".join(rows) + "\n")
+    log = CanLog(tmp_path / "v.trc", "Asia/Shanghai")
+    assert [channel for block in log.blocks() for channel in block.channel.tolist()] == [0, 1, 0]
+
+
 @pytest.mark.parametrize("line", DAMAGED.values(), ids=DAMAGED)
 def test_a_damaged_line_of_a_trc_costs_that_line(tmp_path: Path, line: str) -> None:
     lines = [f"   {at}   {at}0.0 DT 1 0100 Rx - 2 0{at} 00" for at in (1, 2, 4, 5)]
