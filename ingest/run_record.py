@@ -56,12 +56,14 @@ def write_state(path: Path, state: State) -> State:
 class RunRecord(Generic[State]):
     """Owner of a run's state: only its methods change it, and every change is in `file` when they return.
 
-    The `spool` keeps what is sent until it is recorded. Every method that changes the state raises StoreError if it
-    cannot be written.
+    The `spool` keeps what is sent until it is recorded. A run whose state cannot be written raises StoreError at its
+    begin and at its end. In between, as on a full disk, it goes on: `unsaved` is why its file is behind, None where it
+    is not, and each further change is tried anew.
     """
 
     def __init__(self, state: State, file: Path, spool: Spool, place: Place) -> None:
         self.state, self.place, self._file, self._spool = state, place, file, spool
+        self.unsaved: str | None = None
         self._sender: Sender | None = None
 
     @property
@@ -72,6 +74,8 @@ class RunRecord(Generic[State]):
     def close(self) -> None:
         """Record that a recorder has everything."""
         self._save(phase="ended")
+        if self.unsaved is not None:
+            raise StoreError(self.unsaved)
 
     def _totals(self) -> tuple[StreamTotal, ...]:
         """Samples of every stream of the run."""
@@ -84,7 +88,17 @@ class RunRecord(Generic[State]):
         return tuple(sorted(totals, key=lambda total: (total.unit, total.signal, total.epoch)))
 
     def _save(self, **changes: Any) -> None:
-        self.state = write_state(self._file, replace(self.state, **changes))
+        self.state = replace(self.state, **changes)
+        try:
+            write_state(self._file, self.state)
+            self.unsaved = None
+        except StoreError as error:
+            if not self._file.exists():
+                raise
+            self.unsaved = (
+                f"{self._file} cannot be written: {error.__cause__}; the run goes on, and after a crash would resume "
+                "from what was written last: free space or mend the disk"
+            )
 
     def _send(self, document: AnyDocument) -> None:
         assert self._sender is not None

@@ -125,7 +125,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             station=job.station.place.station, on_estimate=decisions.estimate_arrived,
         )  # fmt: skip
         path = stack.enter_context(reached)
-        trouble = TroubleWatch(path.publisher, operator.report, lambda: decisions.silence)
+        trouble = TroubleWatch(path.publisher, operator.report, lambda: decisions.silence, lambda: log.unsaved)
         releases = _releases(asked, job, limits, decisions)
         operator.may_end_early = releases is not None
         why_left: list[str] = []
@@ -167,7 +167,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         for line in log.savings():
             operator.report(line)
         has_limits = bool(limits.units)
-        report("ended", _done(log.state.short_records, decisions.verdicts, path.folder, has_limits=has_limits))
+        report("ended", _done(log, decisions.verdicts, path.folder, has_limits=has_limits))
         return code
 
 
@@ -296,10 +296,13 @@ def _noted(why_left: list[str]) -> Iterator[None]:
         raise
 
 
-def _done(short: int, verdicts: Mapping[str, str], folder: Path | None, *, has_limits: bool) -> str:
-    """What to say of a run that has ended: what lacks, what the live limits say, and what to ask next."""
+def _done(log: RunLog, verdicts: Mapping[str, str], folder: Path | None, *, has_limits: bool) -> str:
+    """What to report of a run that has ended: what lacks, what the live limits say, and what to ask next."""
+    short = log.state.short_records
     lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
-    where = f"{lacking}every sample is recorded{_by_live_limits(verdicts)}"
+    # what an earlier process had not on disk when it ended is known to nobody
+    which = "every sample that was kept" if log.is_resumed else "every sample"
+    where = f"{lacking}{which} is recorded{_by_live_limits(verdicts)}"
     if folder is None:
         return where
     store = shlex.quote(str(folder))

@@ -74,21 +74,22 @@ class RunPath(NamedTuple):
 class TroubleWatch:
     """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over.
 
-    So it reports that nobody judges them, if `silence` says so.
+    So it reports that nobody judges them, if `silence` says so, and that the run's state is not written, if `unsaved`
+    does.
     """
 
     def __init__(
         self, publisher: DurablePublisher, report: Callable[[str], None],
-        silence: Callable[[], str | None] = lambda: None,
+        silence: Callable[[], str | None] = lambda: None, unsaved: Callable[[], str | None] = lambda: None,
     ) -> None:  # fmt: skip
-        self._publisher, self._report, self._silence = publisher, report, silence
+        self._publisher, self._report, self._silence, self._unsaved = publisher, report, silence, unsaved
         self._trouble: str | None = None
         self._is_silent = False
 
     def look(self) -> None:
         """Report what has changed since the last look."""
         paused = self._publisher.paused
-        trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
+        trouble = self._publisher.warning or self._unsaved() or (f"the recorder pauses: {paused}" if paused else None)
         if trouble != self._trouble:
             self._trouble = trouble
             self._report(f"warning: {trouble}" if trouble else "recording goes on")
@@ -197,12 +198,14 @@ def left_behind(path: RunPath, where: str) -> str:
     """Wait a little for the recorder; what waits in the spool, and how to resume."""
     until = time.monotonic() + PATIENCE_S
     path.publisher.drain(lambda: time.monotonic() > until)
-    left = path.publisher.outstanding
+    left, lost = path.publisher.outstanding, path.publisher.not_kept
     if left:
         path.publisher.abandon()
     else:
         path.finish()
-    kept = f"{left} messages wait in {where}; " if left else ""
+    kept = f"{left - lost} messages wait in {where}; " if left > lost else ""
+    if lost:
+        kept += f"{lost} messages could not be written there and are lost; "
     return f"{kept}give the same command to resume, with --end to end it"
 
 

@@ -93,6 +93,10 @@ class Outbox:
         spooled = 0 if self._spool is None else self._spool.waiting
         return spooled + sum(len(stream.held) for stream in self._holding)
 
+    def not_kept(self) -> int:
+        """Messages that are neither acknowledged nor on disk."""
+        return sum(not each.is_kept for stream in self._holding for each in stream.held)
+
     def format_outstanding(self) -> str:
         """What is outstanding, for people."""
         waiting = {stream.id.key: len(stream.held) for stream in self.streams.values() if stream.held}
@@ -103,7 +107,8 @@ class Outbox:
             text = f"{count} messages of {first}{more} are outstanding"
         if self._spool is None:
             return text
-        return f"{text}; they are kept in {self._spool.folder} and sent when the same source starts again"
+        lost = f" but {not_kept} of them" if (not_kept := self.not_kept()) else ""
+        return f"{text}; they are kept in {self._spool.folder}{lost} and sent when the same source starts again"
 
     def answer(self, store: str, position: StreamPosition, now: float) -> None:
         """Process the answer of a recorder about a stream."""

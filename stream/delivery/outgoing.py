@@ -16,11 +16,12 @@ _FIRST_REWIND_PATIENCE_S = 0.5
 
 
 class HeldMessage(NamedTuple):
-    """An unacknowledged message: numbers `seq` to `next_seq - 1`."""
+    """An unacknowledged message: numbers `seq` to `next_seq - 1`; `is_kept` if it is on disk as well."""
 
     seq: int
     next_seq: int
     payload: bytes
+    is_kept: bool = False
 
 
 @dataclass(slots=True, eq=False)

@@ -85,6 +85,12 @@ class DurablePublisher:
             return self._out.count()
 
     @property
+    def not_kept(self) -> int:
+        """Messages that are lost if this process ends now: neither acknowledged nor in the spool."""
+        with self._lock:
+            return self._out.not_kept()
+
+    @property
     def paused(self) -> str | None:
         """Why the recorder pauses; None while it records, or reports nothing."""
         with self._lock:
@@ -200,18 +206,20 @@ class DurablePublisher:
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
+        is_kept = False
         with self._lock:
             if self._spool is not None:
-                if not self._keep(self._spool, stream, seq, next_seq, payload):
+                is_held, is_kept = self._keep(self._spool, stream, seq, next_seq, payload)
+                if not is_held:
                     return False  # on disk; it is sent when its turn comes
             elif not self._out.fits(len(payload)):
                 self._wait_for_room(len(payload))
             if self._out.broken:
                 self._check()
-            return self._out.hold(stream, HeldMessage(seq, next_seq, payload))
+            return self._out.hold(stream, HeldMessage(seq, next_seq, payload, is_kept))
 
-    def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
-        """Put a message into the spool; returns whether it is held in memory as well."""
+    def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> tuple[bool, bool]:
+        """Put a message into the spool; returns whether it is held in memory, and whether the spool has it."""
         began = time.monotonic()
         while True:
             self._check()
@@ -224,9 +232,9 @@ class DurablePublisher:
                 while self._is_spooled():  # messages on disk are sent before
                     self._wait(began)
                 self._wait_for_room(len(payload))
-                return True
+                return True, False
             else:
-                return fits
+                return fits, True
 
     def _wait_for_room(self, size: int) -> None:
         began = time.monotonic()
@@ -344,7 +352,7 @@ class DurablePublisher:
             for message in messages:
                 stream = self._out.stream(message.stream)
                 if message.next_seq > stream.acknowledged:
-                    held = HeldMessage(message.seq, message.next_seq, message.payload)
+                    held = HeldMessage(message.seq, message.next_seq, message.payload, is_kept=True)
                     self._out.credit -= len(held.payload)
                     if self._out.hold(stream, held):
                         now_due.append((stream, held))

@@ -1,8 +1,6 @@
 """Disks that are full and disks that fail, under real processes: nothing acknowledged is lost, and it goes on."""
 
-import os
 import shutil
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -18,6 +16,7 @@ from storage.recording.status_board import StatusBoard, read_statuses
 from storage.store import Store
 from stream.errors import StoreError
 from stream.status.role_status import Role, RoleState, new_status
+from tests.small_disk import small_disk_at
 
 Start = Callable[..., Any]
 SAMPLES = 300_000
@@ -42,15 +41,8 @@ def check(gyrofleet: Callable[..., Any], store: Path) -> None:
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of 8 MB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if os.geteuid() != 0 or shutil.which("mount") is None:
-        pytest.skip("mounting a tmpfs needs root")
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", folder], capture_output=True, text=True)
-    if done.returncode != 0:
-        pytest.skip(f"a tmpfs cannot be mounted here: {done.stderr.strip()}")
-    yield folder
-    subprocess.run(["umount", "--lazy", folder], check=True)
+    with small_disk_at(tmp_path / "disk", 8) as folder:
+        yield folder
 
 
 @pytest.mark.long  # in the gate: `test_recorder_disk.py`

@@ -197,7 +197,7 @@ class TrcReader(can.TRCReader):
         else:
             if found is None and not _TRC_EVENTS.intersection(cells):
                 self.file.leave_out("neither a frame nor another event")
-            elif found is not None:
+            elif found is not None and isinstance(found.channel, int):
                 found.channel -= 1  # of the first bus it is 0, as python-can has it of all other formats
         return found
 

@@ -3,10 +3,12 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from storage.recording.recorder import Recorder
 from storage.segments.disk import Disk, Space
 from storage.store import Store
 from stream.transport.zenoh_bus import ZenohBus
+from tests.small_disk import small_disk_at
 
 Bench = Any
 Kept = Any
@@ -209,3 +212,35 @@ def test_what_is_wrong_in_files_is_said_with_its_place_and_nothing_is_started(
     missing = gyrofleet("run", "scale_factor", "--units", listed, "--yes")
     assert missing.code == 1
     assert "say at which station: --station FILE" in missing.err
+
+
+@pytest.fixture
+def small_store(store: Path) -> Iterator[Path]:
+    """The store of this test's runs, on a disk of 24 MB."""
+    with small_disk_at(store, 24) as folder:
+        yield folder
+
+
+@pytest.mark.long  # in the gate: `test_state_file.py`, `test_spooled_delivery.py`
+def test_a_disk_without_any_room_costs_nothing_as_long_as_the_run_is_at_work(
+    spawn: Spawn, slow: Bench, state: Callable[..., Any], kept: Kept, small_store: Path
+) -> None:
+    """Neither spool nor the state of the run can be written: both go on in memory, and catch up."""
+    process = spawn(*slow.run("static_bias", "--set", "warm_up_s=5", "--set", "bias_record_s=500"))
+    state(lambda run: run["open_steps"])
+    time.sleep(1.0)
+    ballast = small_store / "ballast"
+    with ballast.open("wb", buffering=0) as file, suppress(OSError):
+        while True:
+            file.write(bytes(4096))
+    assert shutil.disk_usage(small_store).free == 0
+    time.sleep(10.0)
+    assert process.poll() is None
+    ballast.unlink()
+    done, err = slow.ended(process, timeout_s=120.0)
+    assert "cannot be written: [Errno 28]" in err
+    assert "every sample is recorded" in done["remark"]
+    kept.sound()
+    gaps = "select t_ns - lag(t_ns) over (partition by unit order by t_ns) as gap_ns from samples where signal = 'rate'"
+    (row,) = kept.rows(f"select max(gap_ns) / 1e9 as longest_s from ({gaps})")
+    assert row["longest_s"] < 0.15

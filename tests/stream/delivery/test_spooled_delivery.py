@@ -21,6 +21,10 @@ from stream.wire.batches import encode_batch
 from tests.stream.stand_in_recorder import KEY, PLACE, N, StandIn, batch, until
 
 
+def refuse(*_: object) -> int:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 class TestSpool:
     def test_hours_without_a_recorder_take_a_window_of_memory(self, tmp_path: Path) -> None:
         bus = LocalBus()
@@ -71,9 +75,6 @@ class TestSpool:
         assert recorder.arrived == [(StreamId(KEY, UUID(int=1).hex), 50 * N)]
 
     def test_a_disk_that_fails_leaves_the_window(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        def refuse(*_: object) -> int:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
         bus = LocalBus()
         recorder = StandIn(bus)
         monkeypatch.setattr(spool_module, "_RETRY_S", 0.05)
@@ -89,6 +90,19 @@ class TestSpool:
                 publisher.send_batch(KEY, batch(i))
             assert publisher.warning is None
         assert recorder.samples() == list(range(100 * N))
+
+    def test_messages_that_no_disk_took_are_counted(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """They are lost with the process."""
+        with Spool(tmp_path) as spool:
+            publisher = DurablePublisher(LocalBus(), spool=spool)
+            publisher.send_batch(KEY, batch(0))
+            assert (publisher.outstanding, publisher.not_kept) == (1, 0)
+            with monkeypatch.context() as full:
+                full.setattr(os, "write", refuse)
+                for i in (1, 2):
+                    publisher.send_batch(KEY, batch(i))
+            assert (publisher.outstanding, publisher.not_kept) == (3, 2)
+            publisher.abandon()
 
     @pytest.mark.long
     def test_a_full_spool_makes_its_source_wait(self, tmp_path: Path) -> None:
