@@ -28,7 +28,7 @@ def page() -> str:
     parts = ["# Keys of a station's files", "`gyrofleet config check FILE` checks each of them."]
     parts += ["## The station's file"]
     parts += _tables({"[station]": StationTable})
-    parts += [_keys(StationLocation)]
+    parts += ["In the same table, the place:", _keys(StationLocation)]
     parts += _tables({"[buses.NAME]": BusTable, "bus of [buses.NAME]": CanBusOptions})
     parts += _tables({"[lines.NAME]": LineTable, "[slots.NAME]": SlotTable})
     parts += ['`[settings]`: the instrument of a setting that several have: `rate = "table"`.']

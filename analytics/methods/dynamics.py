@@ -16,6 +16,8 @@ from stream.errors import BadInput
 
 # below this probability what a model leaves is more than the records' scatter
 _MISFIT = 1e-3
+# of the gain at the lowest frequency: gains that come down to less at the highest do fall
+_FALLEN = 0.9
 
 
 class DynamicResult(NamedTuple):
@@ -59,10 +61,13 @@ def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
     solved, *_ = np.linalg.lstsq(design, power)
     square = float(solved[1]) / float(column.max())
     if not square > 0:
-        raise BadInput(
-            f"the gain does not fall up to {frequency_hz[-1]:g} Hz (it is {gain[-1] / gain[0]:.4g} of that at "
-            f"{frequency_hz[0]:g} Hz): vibrate up to twice the bandwidth"
-        )
+        share = float(gain[-1] / gain[0])
+        at = f"at {frequency_hz[-1]:g} Hz the gain is {share:.4g} of that at {frequency_hz[0]:g} Hz"
+        if share < _FALLEN:
+            raise BadInput(
+                f"{at}, but no first-order lag has these gains: they may resonate; see the crossing of 0.707"
+            )
+        raise BadInput(f"{at}: it does not fall, vibrate up to twice the bandwidth")
     return math.sqrt(square)
 
 

@@ -1,13 +1,16 @@
 """Bandwidth and output delay from steps to rows: the clauses' formulas on raw arrays, and tests that lack something."""
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import optimize
 
+from analytics.methods.dynamics import time_constant
 from stream.batch import FloatArray
+from stream.errors import BadInput
 from tests.analytics.conftest import START_NS
 from tests.analytics.metrics.angular_vibration import (
     BANDWIDTH_HZ,
@@ -168,6 +171,24 @@ LACKS: list[tuple[dict[str, Any], str, str]] = [
         "the gain is 0.9842 of that at the lowest or at zero: it is to come down to 0.707",
     ),
 ]
+
+
+@pytest.mark.parametrize(
+    ("damping", "reason"),
+    [
+        (
+            0.3,
+            "at 100 Hz the gain is 0.4792 of that at 10 Hz, but no first-order lag has these gains: they may resonate",
+        ),
+        (1e-9, "at 50 Hz the gain is 3.182 of that at 10 Hz: it does not fall, vibrate up to twice the bandwidth"),
+    ],
+)
+def test_gains_of_a_resonance_are_no_gains_that_do_not_fall(damping: float, reason: str) -> None:
+    frequencies = np.geomspace(10.0, 100.0 if damping > 0.1 else 50.0, 12)
+    share = frequencies / 60.0
+    gains = 1 / np.hypot(1 - share**2, 2 * damping * share)
+    with pytest.raises(BadInput, match=re.escape(reason)):
+        time_constant(frequencies, gains)
 
 
 @pytest.mark.long
