@@ -1,7 +1,7 @@
 """Processes for commands without the wait for their imports: a server that has loaded the program once and forks.
 
-What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
-files, signals and end; only the start, one to three seconds of importing, is that of the server
+What a command does is done in a process of its own, with its own folder, files, signals and end, of which the server
+tells the test's process; only the start, one to three seconds of importing, is that of the server
 (``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked as well, but where its
 time or memory is limited: from the command's, from the server where a test asks in its own process, and from a process
 beside a command that is a server, which has threads. So are the processes of a simulated station. A few tests start the
@@ -15,6 +15,7 @@ import gc
 import importlib
 import json
 import os
+import selectors
 import signal
 import socket
 import subprocess
@@ -22,7 +23,10 @@ import sys
 import tempfile
 import threading
 import traceback
+import typing
+import weakref
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -31,7 +35,7 @@ from typing import Any, AnyStr, NoReturn
 
 # variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
 SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
-_PR_SET_CHILD_SUBREAPER, _PR_SET_PDEATHSIG = 36, 1
+_PR_SET_PDEATHSIG = 1
 _M_ARENA_MAX, _MADV_COLLAPSE, _HUGE_BYTES = -8, 25, 2 << 20
 _PARTS = 23
 _MOST_FILES = 16
@@ -126,7 +130,6 @@ class CommandServer:
         """Where the process listens, which is begun if it has not been."""
         with self._beginning:
             if self._process is None:
-                _adopt()
                 self._process = subprocess.Popen(
                     # -P: beside its folder's packages, which are named like those of the program
                     [sys.executable, "-P", __file__, self._socket],
@@ -163,21 +166,19 @@ class CommandServer:
         return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
-def _adopt() -> None:
-    """Make a process below this one whose parent has ended a child of this one, which can wait for it."""
-    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-
-
 def _forking(popen: Callable[..., Any]) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(subprocess), "Popen": popen})
 
 
 class ForkedProcess(subprocess.Popen[AnyStr]):
-    """A process that a server has forked and this process has adopted.
+    """A process that a server has forked, which tells this process its end.
 
     It is that of a command, or of a module where the arguments say so (``-m MODULE``). Input, output and errors may be
     left alone, be pipes of their own, or go to files.
     """
+
+    pid: int
+    _waitpid_lock: threading.Lock
 
     def __init__(self, server: Callable[[], str], arguments: list[str], **options: Any) -> None:
         self._server = server
@@ -201,16 +202,34 @@ class ForkedProcess(subprocess.Popen[AnyStr]):
             "files": [0, 1, 2, *passed],
         }
         files = [own if given == -1 else given for own, given in ((0, into), (1, out), (2, err))] + list(passed)
-        with socket.socket(socket.AF_UNIX) as line:
-            line.connect(self._server())
-            message = json.dumps(request).encode()
-            socket.send_fds(line, [len(message).to_bytes(8, "little")], files)
-            line.sendall(message)
-            self.pid = int.from_bytes(line.recv(8), "little")
-            line.recv(1)  # ends when the process between has ended: not before is this one the parent
+        self._line = socket.socket(socket.AF_UNIX)
+        self._line.connect(self._server())
+        message = json.dumps(request).encode()
+        socket.send_fds(self._line, [len(message).to_bytes(8, "little")], files)
+        self._line.sendall(message)
+        self.pid = int.from_bytes(self._line.recv(8), "little")
         self._child_created = True
         for given in {into, out, err} - {-1} - self._files:  # the child's ends of the pipes
             os.close(given)
+
+    def _try_wait(self, wait_flags: int) -> tuple[int, int]:
+        """Ask for the end in place of `os.waitpid`, with its options and result."""
+        try:
+            status = self._line.recv(4, socket.MSG_DONTWAIT if wait_flags & os.WNOHANG else 0)
+        except BlockingIOError:
+            return 0, 0
+        assert status, "the server of commands has ended"
+        self._line.close()
+        return self.pid, int.from_bytes(status, "little")
+
+    def _internal_poll(self, *_: Any, **__: Any) -> int | None:
+        if self.returncode is None and self._waitpid_lock.acquire(blocking=False):
+            try:
+                if self.returncode is None and (ended := self._try_wait(os.WNOHANG))[0]:
+                    self.returncode = os.waitstatus_to_exitcode(ended[1])
+            finally:
+                self._waitpid_lock.release()
+        return self.returncode
 
 
 class ForkedModule(subprocess.Popen[Any]):
@@ -303,6 +322,10 @@ def _serve(path: str) -> None:
             if isinstance(value, Kernel):
                 value.made()
     is_angular_rate("mdps")  # defines pint's units
+    for clear in vars(typing)["_cleanups"]:  # a library does so at the end of each process, which would copy it all
+        clear()
+    for each in list(vars(weakref.finalize)["_registry"]):  # as would what libraries release at the end
+        each.atexit = False
     gc.collect()
     gc.freeze()  # else collections in the forked processes would look at all of it, and copy it
     _join_pages()
@@ -324,27 +347,51 @@ def _join_pages() -> None:
 
 
 def _fork_for(server: socket.socket) -> NoReturn:
-    """Fork a process for each that connects."""
+    """Fork a process for each that connects, and tell it the end of that process."""
+    watched = selectors.DefaultSelector()
+    watched.register(server, selectors.EVENT_READ)
     while True:
-        line, _ = server.accept()
-        request, files = _received(line)
-        between = os.fork()
-        if between == 0:
-            process = os.fork()
-            if process:  # its parent ends here, so that the test's process adopts it
-                line.sendall(process.to_bytes(8, "little"))
-                os._exit(0)
-            line.close()
-            server.close()
-            _become(request, files)
-            words = request["arguments"]
-            if "-m" in words:
-                _run_to_the_end(_MAINS[words[words.index("-m") + 1]], words)
-            _run_command(words, request["env"])
-        os.waitpid(between, 0)
+        for key, _ in watched.select():
+            if key.data is None:
+                _begin(server, watched)
+                continue
+            watched.unregister(key.fileobj)
+            process, line = key.data
+            if key.fd == line.fileno():  # closed where the end is known, or nobody asks: its number may be given again
+                os.waitpid(process, 0)
+                line.close()
+                continue
+            os.close(key.fd)
+            ended = os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT)
+            assert ended is not None
+            status = ended.si_status << 8 if ended.si_code == os.CLD_EXITED else ended.si_status
+            with suppress(OSError):
+                line.sendall(status.to_bytes(4, "little"))
+            watched.register(line, selectors.EVENT_READ, key.data)
+
+
+def _begin(server: socket.socket, watched: selectors.BaseSelector) -> None:
+    line, _ = server.accept()
+    request, files = _received(line)
+    process = os.fork()
+    if process == 0:
         line.close()
-        for file in files:
-            os.close(file)
+        server.close()
+        for key in [key for key in watched.get_map().values() if key.data is not None]:
+            if key.fd != key.data[1].fileno():
+                os.close(key.fd)
+            key.data[1].close()
+        watched.close()
+        _become(request, files)
+        words = request["arguments"]
+        if "-m" in words:
+            _run_to_the_end(_MAINS[words[words.index("-m") + 1]], words)
+        _run_command(words, request["env"])
+    with suppress(OSError):  # who asked may have been killed
+        line.sendall(process.to_bytes(8, "little"))
+    watched.register(os.pidfd_open(process), selectors.EVENT_READ, (process, line))
+    for file in files:
+        os.close(file)
 
 
 def _run_command(words: list[str], env: dict[str, str]) -> NoReturn:
@@ -368,7 +415,6 @@ def _run_command(words: list[str], env: dict[str, str]) -> NoReturn:
 def _forking_beside() -> SimpleNamespace:
     """The same in a command with threads: a process without them, which ends with this one, forks for it."""
     path = f"\0gyrofleet-tests-{os.getpid()}"
-    _adopt()
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(path)
         server.listen()
