@@ -33,11 +33,16 @@ LOWEST = (
     "tests/analytics/trends/test_trends_report.py",
 )
 # more than there are processors: many tests wait for processes of their own
-PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
+PARALLEL = (
+    "--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "loadfile", "--no-loadscope-reorder",
+)  # fmt: skip
 # of examples in docstrings; those of the kernels first, which are compiled then
 PACKAGES = ("stream", "storage", "ingest", "analytics")
-# a fifth of its time looks for garbage, of which there is none; it would take up the search again by itself
-MYPY = "import gc; gc.disable(); gc.enable = lambda: None; from mypy.__main__ import console_entry; console_entry()"
+# the search for garbage, of which there is none, takes mypy a fifth of its time, and the examples a twelfth; mypy would
+# take it up again by itself
+UNSEARCHED = "import gc; gc.disable(); gc.enable = lambda: None; "
+MYPY = UNSEARCHED + "from mypy.__main__ import console_entry; console_entry()"
+EXAMPLES = UNSEARCHED + "from pytest import console_main; console_main()"
 
 # tests make stores by the thousand, and what is recorded is synced
 MEMORY = Path("/dev/shm")
@@ -170,7 +175,7 @@ def main() -> None:
         collecting = (*pytest, "--collect-only", "tests")
         before = [pool.submit(exit_code, collecting, cwd=project, output=subprocess.DEVNULL)]
         # all in one process, which imports all modules once; that of `warm_up` compiles all kernels of estimators
-        examples = (*pytest, "-q", "--pyargs", *PACKAGES)
+        examples = (bin_ / "python", "-c", EXAMPLES, "-q", "--pyargs", *PACKAGES)
         before.append(pool.submit(check_meanwhile, logs[2], examples, cwd=project, niceness=0))
         _, of_examples = (each.result() for each in before)
         # runs the notebook; a warning, as of a link that leads nowhere, fails, also where no pages are written

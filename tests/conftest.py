@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 
 from tests import free_ports as ports
-from tests.forked_commands import CommandServer
+from tests.forked_commands import SHARED_SERVER, CommandServer
 from tests.longest_first import longest_first
 
 # machines are loaded while tests run
@@ -29,6 +29,14 @@ _transports["create_ssl_context"] = cache(_transports["create_ssl_context"])
 os.environ.pop("COLUMNS", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Where several processes run the tests, begin the server of commands that all of them ask."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        server = CommandServer().__enter__()
+        config.add_cleanup(server.__exit__)
+        os.environ[SHARED_SERVER] = server.begin()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -50,10 +58,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if mark is not None and isinstance(item, pytest.Function) and item.callspec.id not in mark.args:
             item.add_marker("long")
     yield  # `-m "not long"` is applied
-    worker = getattr(config, "workerinput", None)
-    if worker is not None:
-        order = longest_first([item.nodeid for item in items], worker["workercount"])
-        items[:] = [items[place] for place in order]
+    if hasattr(config, "workerinput"):
+        items[:] = [items[place] for place in longest_first([item.nodeid for item in items])]
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import traceback
 import typing
 import weakref
@@ -35,9 +36,12 @@ from typing import Any, AnyStr, NoReturn
 
 # variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
 SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
+# where a server listens that all processes of a run of pytest ask
+SHARED_SERVER = "GYROFLEET_TESTS_SERVER"
 _PR_SET_PDEATHSIG = 1
 _M_ARENA_MAX, _MADV_COLLAPSE, _HUGE_BYTES = -8, 25, 2 << 20
 _PARTS = 23
+_PATIENCE_S = 120.0
 _MOST_FILES = 16
 _ABOVE = 200  # numbers of files that nobody asks for
 # what commands import when they come to it; pandas comes with asammdf, and pyarrow imports it where it is
@@ -111,35 +115,52 @@ _WANTED = (
 
 
 class CommandServer:
-    """Starts commands of the program in forked processes; a context. Its process begins with the first of them."""
+    """Starts commands of the program in forked processes; a context.
+
+    Its process is that of `SHARED_SERVER`, where it is set, else its own, which begins with the first command.
+    """
 
     def __enter__(self) -> "CommandServer":
-        self._process: subprocess.Popen[str] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_ready = False
         self._beginning = threading.Lock()
         self._folder = tempfile.TemporaryDirectory()
-        self._socket = str(Path(self._folder.name) / "socket")
+        self._socket = os.environ.get(SHARED_SERVER, "") or str(Path(self._folder.name) / "socket")
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.communicate()
+            self._process.wait()
         self._folder.cleanup()
 
-    def socket(self) -> str:
-        """Where the process listens, which is begun if it has not been."""
-        with self._beginning:
-            if self._process is None:
-                self._process = subprocess.Popen(
-                    # -P: beside its folder's packages, which are named like those of the program
-                    [sys.executable, "-P", __file__, self._socket],
-                    stdout=subprocess.PIPE,
-                    text=True,
-                    env={**os.environ, "PYTHONWARNINGS": "error"},
-                )
-                assert self._process.stdout is not None
-                assert self._process.stdout.readline(), f"the server of commands ended with {self._process.wait()}"
+    def begin(self) -> str:
+        """Begin its process, and do not wait until it listens; where it will."""
+        self._process = subprocess.Popen(
+            # -P: beside its folder's packages, which are named like those of the program
+            [sys.executable, "-P", __file__, self._socket],
+            stdout=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONWARNINGS": "error"},
+        )
         return self._socket
+
+    def socket(self) -> str:
+        """Where its process listens, which is begun if it has not been."""
+        with self._beginning:
+            if not self._is_ready:
+                if self._process is None and SHARED_SERVER not in os.environ:
+                    self.begin()
+                self._wait()
+                self._is_ready = True
+        return self._socket
+
+    def _wait(self) -> None:
+        until = time.monotonic() + _PATIENCE_S
+        while not Path(self._socket).exists():
+            code = None if self._process is None else self._process.poll()
+            assert code is None, f"the server of commands ended with {code}"
+            assert time.monotonic() < until, "the server of commands does not begin"
+            time.sleep(0.02)
 
     def start(self, arguments: list[str], **options: Any) -> "ForkedProcess[str]":
         """Start a command; the options are those of `subprocess.Popen` for its folder, environment and files."""
@@ -330,9 +351,9 @@ def _serve(path: str) -> None:
     gc.freeze()  # else collections in the forked processes would look at all of it, and copy it
     _join_pages()
     with socket.socket(socket.AF_UNIX) as server:
-        server.bind(path)
+        server.bind(f"{path}.new")
         server.listen()
-        print("ready", flush=True)
+        Path(f"{path}.new").rename(path)  # who finds it can connect
         _fork_for(server)
 
 

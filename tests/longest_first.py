@@ -1,12 +1,12 @@
 """The order in which parallel processes run the tests: what takes long or waits for a clock begins first.
 
-pytest-xdist (`--dist worksteal`) gives each process an equal part of the tests in their order; who is done takes from
-the end of another's part. A room of long tests is therefore begun by one process each, before the others' modules,
-which are dealt so that all parts are equally long; at the end there are short tests, and nobody waits for a station.
+pytest-xdist (`--dist loadfile --no-loadscope-reorder`) gives whole modules in their order to the processes that have
+time. Rooms of long tests take turns, so that not all processes wait for stations at once; at the end there are short
+tests, and nobody waits.
 """
 
 from collections.abc import Sequence
-from itertools import chain, groupby
+from itertools import chain, groupby, zip_longest
 
 # the first room that a module is in counts
 _LONG_ROOMS = ("tests/e2e/station/", "tests/e2e/", "tests/analytics/serve/", "tests/crash/")
@@ -14,33 +14,20 @@ _LONG_ROOMS = ("tests/e2e/station/", "tests/e2e/", "tests/analytics/serve/", "te
 _MIDDLE_ROOMS = ("tests/test_", "tests/analytics/", "tests/storage/")
 
 
-def longest_first(names: Sequence[str], processes: int) -> list[int]:
+def longest_first(names: Sequence[str]) -> list[int]:
     """Places of the tests, by their node ids, in the order in which to run them.
 
-    Of two processes, the first begins with the room `e2e`, and the second with `crash`:
-
-    >>> names = ["a.py::1", "a.py::2", "tests/crash/b.py::1", "tests/e2e/c.py::1", "tests/e2e/c.py::2"]
-    >>> [names[place] for place in longest_first(names, 2)]
-    ['tests/e2e/c.py::1', 'tests/e2e/c.py::2', 'tests/crash/b.py::1', 'a.py::1', 'a.py::2']
+    >>> names = ["a.py::1", "tests/crash/b.py::1", "tests/crash/c.py::1", "tests/e2e/d.py::1", "tests/e2e/d.py::2"]
+    >>> [names[place] for place in longest_first(names)]
+    ['tests/e2e/d.py::1', 'tests/e2e/d.py::2', 'tests/crash/b.py::1', 'tests/crash/c.py::1', 'a.py::1']
     """
-    shares = [(len(names) + part) // processes for part in range(processes)]
-    parts: list[list[int]] = [[] for _ in shares]
     modules = [list(places) for _, places in groupby(range(len(names)), lambda place: names[place].split("::")[0])]
-    ranks = [_rank(names[module[0]]) for module in modules]
-    for number, room in enumerate(room for room in _LONG_ROOMS if room in ranks):
-        own = [module for module, rank in zip(modules, ranks, strict=True) if rank == room]
-        parts[number % processes].extend(chain.from_iterable(own))
-    for middle in (True, False):
-        for module, rank in zip(modules, ranks, strict=True):
-            if rank not in _LONG_ROOMS and (rank in _MIDDLE_ROOMS) == middle:
-                min(zip(parts, shares, strict=True), key=lambda each: len(each[0]) - each[1])[0].extend(module)
-    spare = [place for part, share in zip(parts, shares, strict=True) for place in part[share:]]
-    for part, share in zip(parts, shares, strict=True):
-        del part[share:]
-        missing = share - len(part)
-        part.extend(spare[:missing])
-        del spare[:missing]
-    return list(chain.from_iterable(parts))
+    ranked = [(_rank(names[module[0]]), module) for module in modules]
+    rooms = [[module for rank, module in ranked if rank == room] for room in _LONG_ROOMS]
+    turns = chain.from_iterable(zip_longest(*rooms, fillvalue=()))
+    middle = (module for rank, module in ranked if rank in _MIDDLE_ROOMS)
+    short = (module for rank, module in ranked if not rank)
+    return list(chain.from_iterable((*turns, *middle, *short)))
 
 
 def _rank(name: str) -> str:
