@@ -19,7 +19,8 @@ from analytics.trends.charts.control_chart import (
     individuals_chart,
 )
 from analytics.trends.charts.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
-from analytics.trends.groups.between_stations import GroupComparison, components
+from analytics.trends.groups.between_stations import GroupComparison
+from analytics.trends.groups.components import components
 from analytics.trends.groups.level_drifts import LevelDrift, level_drifts
 from analytics.trends.groups.mixed_model import ComponentDeviation
 from analytics.trends.groups.scatter_differences import ScatterComparison, scatter_differences

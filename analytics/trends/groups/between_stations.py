@@ -1,4 +1,4 @@
-"""Differences between stations, fixtures and lots, what they are confounded with, and components of variance."""
+"""Differences between stations, fixtures and lots and what they are confounded with."""
 
 from collections import defaultdict
 from itertools import combinations
@@ -6,13 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.groups.mixed_model import (
-    ComponentDeviation,
-    ContrastEstimate,
-    MixedModel,
-    holm,
-    paired_difference,
-)
+from analytics.trends.groups.contrasts import ContrastEstimate, holm, paired_difference
+from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, group_name, not_computed, words
 from stream.batch import FloatArray, IntArray
@@ -21,7 +16,6 @@ LEAST_VALUES = 8
 LEAST_PER_LEVEL = 2
 LEAST_PAIRS = 3
 _MOST_LEVELS = 200
-_MOST_RANDOM_LEVELS = 60
 _DEPENDENT = 1e-9
 
 
@@ -79,7 +73,7 @@ def compare_groups(
     if series.value.size < LEAST_VALUES:
         return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
     found, left_out = _groups(series, groups)
-    unit = _codes(series.unit)[1]
+    unit = codes(series.unit)[1]
     differences = []
     for group in found:
         confounded = _confounded(group, found)
@@ -87,7 +81,7 @@ def compare_groups(
         known = [] if beside is None else [beside]
         columns = [np.ones(series.value.size), *(each.columns for each in (group, *others)), *known]
         fixed = np.column_stack(columns)
-        model = MixedModel(series.value, fixed[:, _independent(fixed)], unit)
+        model = MixedModel(series.value, fixed[:, independent(fixed)], unit)
         if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
             left_out.append(words("group_short", group=group_name(group.name), levels=len(group.levels)))
             continue
@@ -100,11 +94,12 @@ def compare_groups(
 
 def product_columns(series: MetricSeries) -> FloatArray:
     """Indicators of all products but the first, of shape (values, products - 1)."""
-    levels, code = _codes(series.groups["product"])
+    levels, code = codes(series.groups["product"])
     return np.asarray(code[:, None] == np.arange(1, len(levels)), np.float64)
 
 
-def _codes(levels: list[str]) -> tuple[list[str], IntArray]:
+def codes(levels: list[str]) -> tuple[list[str], IntArray]:
+    """Names of levels in order, and which of them each is."""
     names, code = np.unique(np.array(levels), return_inverse=True)
     return [str(each) for each in names], code.astype(np.int64)
 
@@ -112,7 +107,7 @@ def _codes(levels: list[str]) -> tuple[list[str], IntArray]:
 def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group], list[Words]]:
     found, left_out = [], []
     for name in names:
-        levels, code = _codes(series.groups[name])
+        levels, code = codes(series.groups[name])
         few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())
         if len(levels) < 2:
             continue
@@ -123,7 +118,7 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
     return found, left_out
 
 
-def _independent(columns: FloatArray) -> list[int]:
+def independent(columns: FloatArray) -> list[int]:
     """Columns that do not depend on those before them, by Gauss elimination in their cross products."""
     products = columns.T @ columns
     own = np.maximum(np.diag(products).copy(), 1e-300)
@@ -139,7 +134,7 @@ def _is_estimable(group: _Group, others: list[_Group]) -> bool:
     ones = np.ones((group.code.size, 1))
     columns = np.column_stack([ones, *(each.columns for each in others), group.columns])
     first = int(columns.shape[1] - group.columns.shape[1])
-    return [at for at in _independent(columns) if at >= first] == list(range(first, columns.shape[1]))
+    return [at for at in independent(columns) if at >= first] == list(range(first, columns.shape[1]))
 
 
 def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
@@ -195,28 +190,3 @@ def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
             differences = both["value_two"].to_numpy()
             found.append(Pairs(group.name, two, one, both.height, paired_difference(differences)))
     return found
-
-
-def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, ComponentDeviation]:
-    """Standard deviations of all parts of a series, with 95 % bounds by their profile likelihoods.
-
-    Each group with two levels or more is a random effect, one at a time. `unit`: between units; `residual`: between
-    measurements of a unit, the first group removed; and each group: between its levels. Where no unit was measured
-    twice `residual` is that and `unit` in one. Empty where there are too few values or units.
-    """
-    unit = _codes(series.unit)[1]
-    if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:
-        return {}
-    ones = np.ones((series.value.size, 1))
-    found: dict[str, ComponentDeviation] = {}
-    for name in groups:
-        levels, code = _codes(series.groups[name])
-        if not 1 < len(levels) <= _MOST_RANDOM_LEVELS:
-            continue
-        model = MixedModel(series.value, ones, unit, np.eye(len(levels))[code])
-        if not found:
-            parts = model.deviations()
-            found |= {part: each for part, each in parts.items() if part != "random"} | {name: parts["random"]}
-        else:
-            found[name] = model.deviation("random")
-    return found or MixedModel(series.value, ones, unit).deviations()

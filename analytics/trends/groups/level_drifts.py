@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.groups.mixed_model import ContrastEstimate, holm, less_block_means, ols_estimates
+from analytics.trends.groups.contrasts import ContrastEstimate, holm, less_block_means, ols_estimates
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from stream.batch import FloatArray
 

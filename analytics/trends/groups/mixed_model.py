@@ -3,33 +3,25 @@
 Patterson and Thompson 1971; degrees of freedom after Satterthwaite (Giesbrecht and Burns 1985).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, minimize
+from scipy.special import chdtr, lambertw
 
-from analytics.methods.distributions import chi_square_quantile, student_quantile, student_sf
+from analytics.trends.groups.contrasts import ContrastEstimate, estimate, less_block_means
 from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
 _STEP = 1e-3
-_DEPENDENT = 1e-9
 # of the logarithm of a variance ratio: beyond it the component is as good as none
-_LEAST, _MOST = -16.0, 16.0
-
-
-class ContrastEstimate(NamedTuple):
-    """A combination of fixed effects, with 95 % bounds."""
-
-    value: float  # in the unit of the values, as its bounds and standard uncertainty
-    lo: float
-    hi: float
-    standard_uncertainty: float
-    freedom: float  # degrees of freedom of the uncertainty
-    chance: float  # probability of a value at least this far from 0 if it is 0
+_LEAST, _MOST = -16.0, 12.0
+# of the deviance: a component that lowers it by less is none
+_NONE = 1e-6
 
 
 class ComponentDeviation(NamedTuple):
@@ -40,9 +32,31 @@ class ComponentDeviation(NamedTuple):
     hi: float
 
 
+class _Sums(NamedTuple):
+    """Cross products of [random, fixed, y]."""
+
+    within: FloatArray  # of what is less the mean of its unit
+    between: FloatArray  # shape (sizes, m, m); of the sums over each unit, added over the units of one size
+    sizes: IntArray  # numbers of values of a unit
+    units: IntArray  # how many units have as many
+
+
+class _Equations(NamedTuple):
+    """Equations of the random effects, the units absorbed and the fixed ones removed; the residual has variance 1."""
+
+    ratio: float  # variance of units
+    inverse_fixed: FloatArray  # of the cross products of the fixed columns
+    beside: FloatArray  # coefficients of the fixed columns in [random, y]
+    scale: FloatArray  # standard deviation of each random effect
+    inverse: FloatArray  # of 1 + the cross products of the scaled random columns
+    solution: FloatArray  # of the random effects in units of their scale
+    squares: float  # y'V^-1 y that remains
+    log_det: float  # of the two matrices that are inverted
+
+
 @dataclass(frozen=True)
 class MixedModel:
-    """y = fixed @ beta + unit effects + random effects + residual, all effects normal and independent.
+    """y = fixed @ beta + unit effects + effects of groups + residual, all effects normal and independent.
 
     >>> rng = np.random.default_rng(2)
     >>> unit = np.repeat(np.arange(500), 3)
@@ -55,28 +69,30 @@ class MixedModel:
     y: FloatArray
     fixed: FloatArray  # shape (n, p); columns of full rank
     unit: IntArray  # shape (n,); unit of each value, from 0
-    random: FloatArray | None = None  # shape (n, q); indicators of the levels of a second random effect
+    # by name, of shape (n, levels); indicators of the levels of further random effects, which may cross each other
+    random: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @cached_property
-    def _sums(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Cross products within units of [random, fixed, y], their sums in each unit, and values in each unit."""
-        random = [] if self.random is None else [self.random]
-        columns = np.column_stack([*random, self.fixed, (self.y - self.y.mean())[:, None]])
+    def _sums(self) -> _Sums:
+        columns = np.column_stack([*self.random.values(), self.fixed, (self.y - self.y.mean())[:, None]])
         counts = np.bincount(self.unit)
         order = np.argsort(self.unit, kind="stable")
-        starts = np.r_[0, np.cumsum(counts)[:-1]]
+        sums = np.add.reduceat(columns[order], np.r_[0, np.cumsum(counts)[:-1]], axis=0)
         within = less_block_means(columns, self.unit)
-        return within.T @ within, np.add.reduceat(columns[order], starts, axis=0), counts
+        sizes = np.unique(counts)
+        between = np.array([sums[counts == size].T @ sums[counts == size] for size in sizes])
+        return _Sums(within.T @ within, between, sizes, np.array([(counts == size).sum() for size in sizes]))
 
     @property
     def has_repeats(self) -> bool:
         """Whether any unit has more than one value: else unit and residual cannot be separated."""
-        return bool((self._sums[2] > 1).any())
+        return bool((self._sums.sizes > 1).any())
 
-    @property
-    def variance_ratio(self) -> float:
-        """Variance from unit to unit over that of the residual; 0 where no unit has two values."""
-        return float(np.exp(self._optimum[1] - self._optimum[0])) if self.has_repeats else 0.0
+    def variance_ratio(self, name: str = "unit") -> float:
+        """Variance of a component over that of the residual; 0 where there is no such component."""
+        if name not in self._names:
+            return 0.0
+        return float(np.exp(self._optimum[self._names.index(name)] - self._optimum[0]))
 
     def effects(self, contrasts: FloatArray) -> list[ContrastEstimate]:
         """Values of combinations of the fixed effects, with coefficients of shape (combinations, p)."""
@@ -86,11 +102,11 @@ class MixedModel:
         found = []
         for contrast, freedom in zip(contrasts, freedoms, strict=True):
             value = float(contrast @ beta) + float(contrast @ self._centre) * float(self.y.mean())
-            found.append(_estimate(value, float(np.sqrt(contrast @ covariance @ contrast)), float(freedom)))
+            found.append(estimate(value, float(np.sqrt(contrast @ covariance @ contrast)), float(freedom)))
         return found
 
     def deviations(self) -> dict[str, ComponentDeviation]:
-        """Standard deviations of `unit`, `residual` and, where there is one, the second random effect (`random`)."""
+        """Standard deviations of `residual`, `unit` where any was measured twice, and the other random effects."""
         return {name: self.deviation(name) for name in self._names}
 
     def deviation(self, name: str) -> ComponentDeviation:
@@ -99,7 +115,7 @@ class MixedModel:
 
     @property
     def _names(self) -> list[str]:
-        return ["residual", *["unit"] * self.has_repeats, *["random"] * (self.random is not None)]
+        return ["residual", *["unit"] * self.has_repeats, *self.random]
 
     @cached_property
     def _centre(self) -> FloatArray:
@@ -108,43 +124,93 @@ class MixedModel:
         beta = np.linalg.lstsq(self.fixed, ones, rcond=None)[0]
         return np.asarray(beta if np.allclose(self.fixed @ beta, ones) else 0.0 * beta, np.float64)
 
-    def _reduced(self, logs: FloatArray) -> tuple[FloatArray, float]:
-        """[fixed, y]' V^-1 [fixed, y] and ln|V|, from the logarithms of the variances in the order of their names."""
-        products, sums, counts = self._sums
-        log_residual = float(logs[0])
-        ratio = np.exp(logs[1] - log_residual) if self.has_repeats else 0.0
+    @cached_property
+    def _levels(self) -> list[slice]:
+        """Columns of each of the further random effects."""
+        ends = np.cumsum([0, *(each.shape[1] for each in self.random.values())])
+        return [slice(int(first), int(last)) for first, last in pairwise(ends)]
+
+    def _equations(self, logs: FloatArray) -> _Equations:
+        """At the logarithms of the variances in the order of their names."""
+        sums, q = self._sums, sum(each.shape[1] for each in self.random.values())
+        ratio = float(np.exp(logs[1] - logs[0])) if self.has_repeats else 0.0
         # what lies between units is added to what lies within: no difference of large numbers
-        weight = 1 / (counts * (1 + ratio * counts))
-        inner = products + sums.T @ (weight[:, None] * sums)
-        log_det = self.y.size * log_residual + float(np.log1p(ratio * counts).sum())
-        if self.random is not None:
-            q = self.random.shape[1]
-            gamma = np.exp(logs[-1] - log_residual)
-            middle = np.eye(q) + gamma * inner[:q, :q]
-            inner = inner[q:, q:] - gamma * inner[q:, :q] @ np.linalg.solve(middle, inner[:q, q:])
-            log_det += float(np.linalg.slogdet(middle)[1])
-        return inner / np.exp(log_residual), log_det
+        inner = sums.within + np.tensordot(1 / (sums.sizes * (1 + ratio * sums.sizes)), sums.between, axes=1)
+        fixed, rest = slice(q, len(inner) - 1), np.r_[:q, len(inner) - 1]
+        size = 1 / np.sqrt(np.diag(inner)[fixed])
+        correlated = size[:, None] * inner[fixed, fixed] * size
+        inverse_fixed = size[:, None] * np.linalg.inv(correlated) * size
+        beside = inverse_fixed @ inner[fixed][:, rest]
+        left = inner[np.ix_(rest, rest)] - inner[rest, fixed] @ beside
+        scale = np.empty(q)
+        for at, levels in enumerate(self._levels, start=logs.size - len(self.random)):
+            scale[levels] = np.exp((logs[at] - logs[0]) / 2)
+        matrix, right = np.eye(q) + scale[:, None] * left[:-1, :-1] * scale, scale * left[:-1, -1]
+        inverse = np.asarray(np.linalg.inv(matrix), np.float64)
+        solution = inverse @ right
+        log_det = float(np.linalg.slogdet(correlated)[1] - 2 * np.log(size).sum() + np.linalg.slogdet(matrix)[1])
+        squares = float(left[-1, -1] - solution @ right)
+        return _Equations(ratio, inverse_fixed, beside, scale, inverse, solution, squares, log_det)
 
     def _deviance(self, logs: FloatArray) -> float:
         """-2 ln of the restricted likelihood, up to a constant."""
-        inner, log_det = self._reduced(logs)
-        normal, right = inner[:-1, :-1], inner[:-1, -1]
-        squares = float(inner[-1, -1] - right @ np.linalg.solve(normal, right))
-        return log_det + float(np.linalg.slogdet(normal)[1]) + squares
+        return self._deviance_at(logs, self._equations(logs))
+
+    def _deviance_at(self, logs: FloatArray, found: _Equations) -> float:
+        freedom = self.y.size - self.fixed.shape[1]
+        of_units = float(self._sums.units @ np.log1p(found.ratio * self._sums.sizes))
+        return float(freedom * logs[0] + of_units + found.log_det + found.squares * np.exp(-logs[0]))
+
+    def _slopes(self, logs: FloatArray, found: _Equations) -> FloatArray:
+        """Derivatives of the deviance."""
+        sums, precision, q = self._sums, float(np.exp(-logs[0])), found.scale.size
+        slopes = np.empty(logs.size)
+        if self.has_repeats:
+            change = np.tensordot(-1 / (1 + found.ratio * sums.sizes) ** 2, sums.between, axes=1)
+            of_fixed = float((found.inverse_fixed * change[q:-1, q:-1]).sum())
+            turn = np.insert(np.eye(q + 1), [q] * len(found.beside), -found.beside, axis=0)
+            change = turn.T @ change @ turn
+            turned = found.scale[:, None] * found.inverse * found.scale
+            rest = np.r_[-found.scale * found.solution, 1.0]
+            of_units = float(sums.units @ (sums.sizes / (1 + found.ratio * sums.sizes)))
+            of_groups = float((turned * change[:-1, :-1]).sum())
+            slopes[1] = found.ratio * (of_units + of_fixed + of_groups + float(rest @ change @ rest) * precision)
+        for at, levels in enumerate(self._levels, start=logs.size - len(self.random)):
+            kept = np.diag(found.inverse)[levels]
+            slopes[at] = kept.size - kept.sum() - float((found.solution[levels] ** 2).sum()) * precision
+        # all variances multiplied by one number scale the squares alone
+        slopes[0] = self.y.size - self.fixed.shape[1] - found.squares * precision - slopes[1:].sum()
+        return slopes
 
     def _solved(self, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        inner, _ = self._reduced(logs)
-        covariance = np.asarray(np.linalg.inv(inner[:-1, :-1]), np.float64)
-        return covariance @ inner[:-1, -1], covariance
+        """Fixed effects and their covariance."""
+        found = self._equations(logs)
+        of_random = found.beside[:, :-1] * found.scale
+        covariance = found.inverse_fixed + of_random @ found.inverse @ of_random.T
+        return found.beside[:, -1] - of_random @ found.solution, covariance * float(np.exp(logs[0]))
+
+    @cached_property
+    def _bounds(self) -> tuple[float, float]:
+        """Bounds of the logarithms of the variances."""
+        within = float(self._sums.within[-1, -1]) / max(self.y.size - int(self._sums.units.sum()), 1)
+        total = max(float(self.y.var()), 1e-300)
+        return float(np.log(within if within > 1e-20 * total else total)) + _LEAST, float(np.log(total)) + _MOST
 
     @cached_property
     def _optimum(self) -> FloatArray:
         """Logarithms of the variances at the greatest restricted likelihood."""
-        start = np.log(max(float(self.y.var()), 1e-300))
-        shifts = ((0.0, -1.0, -1.0), (-3.0, 0.0, -4.0))
-        candidates = [self._least(start + np.array(shift[: len(self._names)])) for shift in shifts]
-        found = min(candidates, key=lambda each: each[1])[0]
-        return np.clip(found, start + _LEAST, start + _MOST)
+        low, high = self._bounds
+        total, within = high - _MOST, low - _LEAST
+        shifts = ((total, *[total - 1.0] * (len(self._names) - 1)), (within, *[total] * (len(self._names) - 1)))
+        best, least = min((self._least(np.array(start)) for start in shifts), key=lambda each: each[1])
+        for index in range(1, best.size):
+            # a component that makes the data no likelier is none
+            without = best.copy()
+            without[index] = low
+            found = self._least(without, (index, low)) if best[index] > low else (without, least)
+            if found[1] <= least + _NONE:
+                best, least = found
+        return best
 
     def _least(self, start: FloatArray, fixed: tuple[int, float] | None = None) -> tuple[FloatArray, float]:
         """The best point from a start, with one of the logarithms fixed if given."""
@@ -152,26 +218,27 @@ class MixedModel:
         whole = start.copy()
         if fixed is not None:
             whole[fixed[0]] = fixed[1]
-        low, high = float(start[free[0]]) + _LEAST, float(start[free[0]]) + _MOST
+        if not free:
+            return whole, self._deviance(whole)
 
-        def deviance(part: FloatArray) -> float:
+        def deviance(part: FloatArray) -> tuple[float, FloatArray]:
             at = whole.copy()
-            at[free] = np.clip(part, low, high)
-            return self._deviance(at)
+            at[free] = part
+            found = self._equations(at)
+            return self._deviance_at(at, found), self._slopes(at, found)[free]
 
-        if fixed is None:
-            options = {"xatol": 1e-7, "fatol": 1e-7, "maxiter": 2000}
-            best = minimize(deviance, whole[free], method="Nelder-Mead", options=options)
-        else:
-            best = minimize(deviance, whole[free], method="L-BFGS-B", bounds=[(low, high)] * len(free))
-        whole[free] = np.clip(best.x, low, high)
+        options = {"ftol": 1e-12 if fixed is None else 1e-9, "gtol": 1e-6, "maxiter": 500}
+        best = minimize(
+            deviance, whole[free], jac=True, method="L-BFGS-B", bounds=[self._bounds] * len(free), options=options
+        )
+        whole[free] = best.x
         return whole, float(best.fun)
 
     def _freedoms(self, at: FloatArray, contrasts: FloatArray) -> FloatArray:
         """Satterthwaite: 2*v**2 over the variance of v, by the curvature of the likelihood."""
         residual = float(self.y.size - self.fixed.shape[1])
         # a component at its bound does not change the uncertainty
-        live = [index for index in range(at.size) if index == 0 or at[index] - at.max() > _LEAST / 2]
+        live = [index for index in range(at.size) if index == 0 or at[index] > self._bounds[0]]
         shifts = np.zeros((len(live), at.size))
         shifts[np.arange(len(live)), live] = _STEP
         curvature = np.empty((len(live), len(live)))
@@ -191,66 +258,39 @@ class MixedModel:
             freedom = 2 * variances(at) ** 2 / wobble
         return np.clip(np.where(wobble > 0, freedom, residual), 1.0, residual)
 
+    def _freedom(self, index: int) -> int:
+        """Degrees of freedom of a component at most: one less than it has levels."""
+        levels = [int(self._sums.units.sum())] * self.has_repeats + [each.shape[1] for each in self.random.values()]
+        rest = int(self.y.size) - self.fixed.shape[1] - sum(each - 1 for each in levels)
+        return max(1, int(rest) if index == 0 else levels[index - 1] - 1)
+
     def _profile(self, index: int) -> ComponentDeviation:
         at = self._optimum
-        rise = float(chi_square_quantile(_CONFIDENCE, 1))
+        rise = _rise(self._freedom(index))
         least = self._deviance(at)
 
         def above(log: float) -> float:
-            if at.size == 1:
-                return self._deviance(np.array([log])) - least - rise
             return self._least(at, (index, log))[1] - least - rise
 
         lo, hi = (_crossing(above, float(at[index]), *way) for way in ((-1.0, _LEAST), (1.0, _MOST)))
-        zero = index > 0 and at[index] - at.max() < _LEAST / 2
+        is_none = index > 0 and at[index] <= self._bounds[0]
         low, high = 0.0 if lo is None else np.exp(lo / 2), np.inf if hi is None else np.exp(hi / 2)
-        return ComponentDeviation(0.0 if zero else float(np.exp(at[index] / 2)), float(low), float(high))
+        return ComponentDeviation(0.0 if is_none else float(np.exp(at[index] / 2)), float(low), float(high))
 
 
-def paired_difference(differences: FloatArray) -> ContrastEstimate:
-    """Mean of at least 2 paired differences with bounds by Student's t."""
-    n = differences.size
-    return _estimate(float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n)), float(n - 1))
+@cache
+def _rise(freedom: int) -> float:
+    """How far above its least the deviance of a variance with so many degrees of freedom is at the 95 % bounds.
 
-
-def less_block_means(values: FloatArray, block: IntArray) -> FloatArray:
-    """Values of shape (n,) or (n, k) less the mean of their block, blocks counted from 0.
-
-    >>> less_block_means(np.array([1.0, 3.0, 5.0]), np.array([0, 0, 1])).tolist()
-    [-1.0, 1.0, 0.0]
+    For a mean square, which follows a chi-square law; for many degrees of freedom that of the likelihood ratio.
     """
-    counts = np.bincount(block)
-    flat = values.reshape(len(values), -1)
-    means = np.array([np.bincount(block, column) / counts for column in flat.T]).reshape(flat.shape[1], counts.size)
-    return np.asarray((flat - means.T[block]).reshape(values.shape), np.float64)
 
+    def beyond(rise: float) -> float:
+        edge = -np.exp(-1 - rise / freedom)
+        low, high = (-freedom * float(lambertw(edge, branch).real) for branch in (0, -1))
+        return _CONFIDENCE - float(chdtr(freedom, high) - chdtr(freedom, low))
 
-def ols_estimates(
-    y: FloatArray, columns: FloatArray, contrasts: FloatArray, *, blocks: int
-) -> list[ContrastEstimate | None]:
-    """Contrasts of a least-squares fit of values and columns from which the means of blocks were taken.
-
-    None of a contrast that the columns do not determine.
-    """
-    inverse = np.linalg.pinv(columns.T @ columns, rcond=_DEPENDENT, hermitian=True)
-    beta = inverse @ (columns.T @ y)
-    freedom = y.size - blocks - int(np.linalg.matrix_rank(columns, tol=None))
-    if freedom < 1:
-        return [None] * len(contrasts)
-    variance = float(((y - columns @ beta) ** 2).sum()) / freedom
-    normal = columns.T @ columns
-    found: list[ContrastEstimate | None] = []
-    for contrast in contrasts:
-        is_determined = np.allclose(normal @ (inverse @ contrast), contrast, atol=1e-6 * np.abs(contrast).max())
-        error = float(np.sqrt(variance * (contrast @ inverse @ contrast)))
-        found.append(_estimate(float(contrast @ beta), error, float(freedom)) if is_determined else None)
-    return found
-
-
-def _estimate(value: float, error: float, freedom: float) -> ContrastEstimate:
-    half = float(student_quantile((1 + _CONFIDENCE) / 2, freedom)) * error
-    chance = 2 * student_sf(abs(value) / error, freedom) if error > 0 else float(value == 0)
-    return ContrastEstimate(value, value - half, value + half, error, freedom, chance)
+    return float(brentq(beyond, 3.0, 8.0))
 
 
 def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:
@@ -262,13 +302,3 @@ def _crossing(above: Callable[[float], float], start: float, step: float, most: 
             return float(brentq(above, min(inside, outside), max(inside, outside), xtol=3e-3))
         inside, step = outside, step * 1.5
     return None
-
-
-def holm(chances: list[float]) -> list[float]:
-    """Probabilities adjusted for multiple tests (Holm 1979)."""
-    adjusted = [0.0] * len(chances)
-    running = 0.0
-    for rank, index in enumerate(sorted(range(len(chances)), key=chances.__getitem__)):
-        running = max(running, min(1.0, (len(chances) - rank) * chances[index]))
-        adjusted[index] = running
-    return adjusted

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from analytics.trends.groups.mixed_model import less_block_means
+from analytics.trends.groups.contrasts import less_block_means
 from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.words import Words, group_name, listed, words
 from stream.batch import BoolArray, FloatArray

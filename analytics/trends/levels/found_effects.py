@@ -10,8 +10,8 @@ import numpy as np
 
 from analytics.trends.charts.nelson_rules import wild_point_chance
 from analytics.trends.groups.between_stations import LEAST_PAIRS, GroupComparison, compare_groups, product_columns
+from analytics.trends.groups.contrasts import less_block_means
 from analytics.trends.groups.level_drifts import PLACES, LevelDrift, drift_columns
-from analytics.trends.groups.mixed_model import less_block_means
 from analytics.trends.levels.drift import LEAST_POINTS, Drift, drift, shared_noises
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS

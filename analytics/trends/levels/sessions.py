@@ -248,4 +248,4 @@ def unit_ratio(y: FloatArray, unit: IntArray, station: IntArray) -> float:
     model = MixedModel(y, fixed, unit)
     if not model.has_repeats or y.size <= fixed.shape[1] + 2:
         return 0.0
-    return float(model.variance_ratio)
+    return model.variance_ratio()

@@ -5,8 +5,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import binom, f_oneway, ttest_ind, ttest_rel
 
-from analytics.trends.groups.between_stations import GroupComparison, compare_groups, components
-from analytics.trends.groups.mixed_model import MixedModel, holm
+from analytics.trends.groups.between_stations import GroupComparison, compare_groups
+from analytics.trends.groups.components import components
+from analytics.trends.groups.contrasts import holm
+from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import MetricSeries, Variant
 from analytics.trends.words import NotComputed
 
@@ -212,7 +214,7 @@ def test_components_are_those_of_the_dense_likelihood() -> None:
     station = rng.integers(0, 4, 70)
     y = 2 + rng.normal(0, 1.0, 15)[unit] + rng.normal(0, 0.7, 4)[station] + rng.normal(0, 0.5, 70)
     indicator = np.eye(4)[station]
-    found = MixedModel(y, np.ones((70, 1)), unit, indicator).deviations()
+    found = MixedModel(y, np.ones((70, 1)), unit, {"station": indicator}).deviations()
     parts = [np.eye(70), np.eye(15)[unit] @ np.eye(15)[unit].T, indicator @ indicator.T]
     best = minimize(
         lambda logs: _dense_deviance(y, np.ones((70, 1)), parts, logs),
@@ -220,7 +222,7 @@ def test_components_are_those_of_the_dense_likelihood() -> None:
         method="Nelder-Mead",
         options={"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000},
     )
-    values = [found[name].value for name in ("residual", "unit", "random")]
+    values = [found[name].value for name in ("residual", "unit", "station")]
     assert values == pytest.approx(list(np.exp(best.x / 2)), rel=1e-5)
 
 
@@ -252,6 +254,37 @@ def test_probabilities_are_adjusted_as_holm_does() -> None:
     assert holm([]) == []
     assert holm([0.2]) == [0.2]
     assert holm([0.5, 0.001, 0.02]) == pytest.approx([0.5, 0.003, 0.04])
+
+
+@pytest.mark.parametrize(("offset", "fixture_offset"), [(0.15, 0.2), (0.4, 0.3)])
+def test_groups_that_differ_at_once_are_in_no_scatter_of_measurements(offset: float, fixture_offset: float) -> None:
+    """Each unit on both stations, and on another fixture each time."""
+    rng = np.random.default_rng(20260734)
+    unit, round_of = np.tile(np.arange(24), 4), np.repeat(np.arange(4), 24)
+    station, fixture = round_of % 2, (unit + round_of) % 3
+    value = rng.normal(1, 0.1, 24)[unit] + rng.normal(0, 0.045, 96)
+    plain = components(series_of(value, unit, station=station, fixture=fixture), GROUPS)
+    value = value + offset * station + fixture_offset * (fixture == 2)
+    found = components(series_of(value, unit, station=station, fixture=fixture), GROUPS)
+    assert set(found) == {"residual", "unit", "station", "fixture"}
+    assert found["residual"].lo < 0.045 < found["residual"].hi
+    assert found["unit"].lo < 0.1 < found["unit"].hi
+    for part in ("residual", "unit"):
+        assert found[part].value == pytest.approx(plain[part].value, rel=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("levels", [2, 4])
+def test_bounds_of_few_levels_hold_their_scatter(levels: int) -> None:
+    rng = np.random.default_rng(20260735)
+    level, many = np.repeat(np.arange(levels), 20), 400
+    covered = 0
+    for _ in range(many):
+        value = rng.normal(0, 1.0, levels)[level] + rng.normal(0, 0.01, level.size)
+        model = MixedModel(value, np.ones((level.size, 1)), np.arange(level.size), {"station": np.eye(levels)[level]})
+        found = model.deviation("station")
+        covered += found.lo <= 1.0 <= found.hi
+    assert binom.ppf(0.0005, many, 0.95) <= covered <= binom.isf(0.0005, many, 0.95)
 
 
 def test_units_that_differ_by_far_more_than_they_scatter_have_components() -> None:

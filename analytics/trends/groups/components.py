@@ -1,0 +1,30 @@
+"""Components of variance: the scatter of units, of measurements, and between the levels of groups."""
+
+import numpy as np
+
+from analytics.trends.groups.between_stations import LEAST_VALUES, codes, independent, product_columns
+from analytics.trends.groups.mixed_model import ComponentDeviation, MixedModel
+from analytics.trends.series import MetricSeries
+
+_MOST_LEVELS = 60
+
+
+def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, ComponentDeviation]:
+    """Standard deviations of all parts of a series, with 95 % bounds by their profile likelihoods.
+
+    One model of all: value = product + unit + a random effect for each group with two levels or more + residual. So no
+    part has what another one does. `unit`: between units; `residual`: between measurements of a unit, the groups
+    removed; and each group: between its levels. Where no unit was measured twice `residual` is that and `unit` in one.
+    Parts that the values do not separate, as of a lot and a station that always go together, have bounds down to 0.
+    Empty where there are too few values or units.
+    """
+    unit = codes(series.unit)[1]
+    if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:
+        return {}
+    fixed = np.column_stack([np.ones(series.value.size), product_columns(series)])
+    random = {}
+    for name in groups:
+        levels, code = codes(series.groups[name])
+        if 1 < len(levels) <= _MOST_LEVELS:
+            random[name] = np.eye(len(levels))[code]
+    return MixedModel(series.value, fixed[:, independent(fixed)], unit, random).deviations()
