@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analytics.specifications.verdicts import UNGIVEN
 from analytics.trends.groups.contrasts import ContrastEstimate, holm, paired_difference
 from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import GROUPS, MetricSeries
-from analytics.trends.words import NotComputed, Words, group_name, not_computed, words
+from analytics.trends.words import NotComputed, Words, group_name, listed, not_computed, words
 from stream.batch import FloatArray, IntArray
 
 LEAST_VALUES = 8
@@ -22,7 +23,7 @@ _DEPENDENT = 1e-9
 class Difference(NamedTuple):
     """Difference of one level of a group from the others."""
 
-    # group, level, against: as ``station``, ``B``, ``A``; `against` is empty for the mean of all other levels
+    # group, level, against: as ``station``, ``B``, ``A``; `against` is empty for the weighted mean of other levels
     group: str
     level: str
     against: str
@@ -53,39 +54,47 @@ class GroupComparison(NamedTuple):
 
 class _Group(NamedTuple):
     name: str
-    levels: list[str]
-    code: IntArray
-    columns: FloatArray  # indicators of all levels but the first
+    levels: list[str]  # that are compared
+    at: IntArray  # values there, by their indices in the series
+    # shape (levels, levels); weight of each other level in what a level is compared with: its units of common products
+    weights: FloatArray
 
 
 def compare_groups(
     series: MetricSeries, groups: tuple[str, ...] = GROUPS, *, beside: FloatArray | None = None
 ) -> GroupComparison | NotComputed:
-    """Compare the levels of groups, units being a random effect.
+    """Compare the levels of groups within each product, units being a random effect.
 
     Repeated values separate the scatter of units from that of measurements; groups with one level are skipped.
-    One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. Measurements of
-    one unit on several stations and of different units are both used, each with its weight. A group whose columns
-    depend on those of others is compared without them, and reported as confounded with them. With two levels the second
-    is compared with the first, with more each against the mean of the others. `beside`: columns of shape (n, columns)
-    of what else is known to act, as a fixture that drifts.
+    One linear mixed model for all: value = product + level of station + of fixture + of lot + unit + residual.
+    Measurements of one unit on several stations and of different units are both used, each with its weight. A group
+    whose columns depend on those of others is compared without them, and reported as confounded with them. A level is
+    compared with the mean, weighted by units, of the other levels that have values of a product of its own; of two
+    levels the second with the first. Levels without a name, with a single value of a product, or of a product that no
+    other level has, are not compared, and their values are no part of the model. `beside`: columns of shape
+    (n, columns) of what else is known to act, as a fixture that drifts.
     """
     if series.value.size < LEAST_VALUES:
         return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
     found, left_out = _groups(series, groups)
-    unit = codes(series.unit)[1]
     differences = []
     for group in found:
-        confounded = _confounded(group, found)
-        others = [each for each in found if each is not group and each.name not in confounded]
-        known = [] if beside is None else [beside]
-        columns = [np.ones(series.value.size), *(each.columns for each in (group, *others)), *known]
-        fixed = np.column_stack(columns)
-        model = MixedModel(series.value, fixed[:, independent(fixed)], unit)
-        if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
+        own = series.where(group.at)
+        others = {each.name: _columns(own, each.name) for each in found if each is not group}
+        contrasts = _contrasts(group.weights)
+        always = [_columns(own, group.name), product_columns(own)]
+        confounded = _confounded(contrasts, always, others)
+        known = [] if beside is None else [beside[group.at]]
+        columns = [*always, *(each for name, each in others.items() if name not in confounded), *known]
+        fixed = np.column_stack([np.ones(own.value.size), *columns])
+        fixed, unit = fixed[:, independent(fixed)], codes(own.unit)[1]
+        if own.value.size - fixed.shape[1] < 3 or unit.max() < 1:
             left_out.append(words("group_short", group=group_name(group.name), levels=len(group.levels)))
             continue
-        differences += _differences(group, model, series, confounded)
+        coefficients = np.zeros((len(contrasts), fixed.shape[1]))
+        coefficients[:, 1 : len(group.levels)] = contrasts[:, 1:]  # the first level has no column
+        effects = MixedModel(own.value, fixed, unit).effects(coefficients)
+        differences += _differences(group, contrasts, effects, own, confounded)
     adjusted = holm([each.effect.chance for each in differences])
     differences = [each._replace(adjusted=p) for each, p in zip(differences, adjusted, strict=True)]
     pairs = [pair for group in found for pair in _pairs(group, series)]
@@ -94,7 +103,11 @@ def compare_groups(
 
 def product_columns(series: MetricSeries) -> FloatArray:
     """Indicators of all products but the first, of shape (values, products - 1)."""
-    levels, code = codes(series.groups["product"])
+    return _columns(series, "product")
+
+
+def _columns(series: MetricSeries, group: str) -> FloatArray:
+    levels, code = codes(series.groups[group])
     return np.asarray(code[:, None] == np.arange(1, len(levels)), np.float64)
 
 
@@ -108,14 +121,42 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
     found, left_out = [], []
     for name in names:
         levels, code = codes(series.groups[name])
-        few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())
         if len(levels) < 2:
             continue
-        if len(levels) - few < 2 or len(levels) > _MOST_LEVELS:
+        weights = _weights(series, name) if len(levels) <= _MOST_LEVELS else np.zeros((len(levels), len(levels)))
+        compared = np.flatnonzero(weights.any(axis=1))
+        if not compared.size:
+            few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())
             left_out.append(words("group_single", group=group_name(name), levels=len(levels), few=few))
             continue
-        found.append(_Group(name, levels, code, (code[:, None] == np.arange(1, len(levels))).astype(np.float64)))
+        at = np.flatnonzero(np.isin(code, compared))
+        found.append(_Group(name, [levels[each] for each in compared], at, weights[np.ix_(compared, compared)]))
+        if compared.size < len(levels):
+            others = [each for number, each in enumerate(levels) if number not in compared]
+            left_out.append(words("levels_left_out", group=group_name(name), names=listed(others)))
     return found, left_out
+
+
+def _weights(series: MetricSeries, group: str) -> FloatArray:
+    """Of each level in the mean with which another is compared, of shape (levels, levels); 0 where they are not."""
+    levels, code = codes(series.groups[group])
+    products, product = codes(series.groups["product"])
+    values, units = np.zeros((2, len(products), len(levels)))
+    np.add.at(values, (product, code), 1.0)
+    for of_product, of_level, _ in set(zip(product.tolist(), code.tolist(), series.serial, strict=True)):
+        units[of_product, of_level] += 1.0
+    is_enough = (values >= LEAST_PER_LEVEL) & (np.array(levels) != UNGIVEN)
+    weights = is_enough.T.astype(np.float64) @ (is_enough * units)
+    np.fill_diagonal(weights, 0.0)
+    return np.asarray(weights, np.float64)
+
+
+def _contrasts(weights: FloatArray) -> FloatArray:
+    """Each level less the mean of those it is compared with; of two that are compared with each other alone, one."""
+    linked = weights > 0
+    only = [int(others.argmax()) if others.sum() == 1 else -1 for others in linked]
+    kept = [at for at, other in enumerate(only) if not (other > at and only[other] == at)]
+    return np.asarray((np.eye(len(weights)) - weights / weights.sum(axis=1)[:, None])[kept], np.float64)
 
 
 def independent(columns: FloatArray) -> list[int]:
@@ -130,45 +171,41 @@ def independent(columns: FloatArray) -> list[int]:
     return kept
 
 
-def _is_estimable(group: _Group, others: list[_Group]) -> bool:
-    ones = np.ones((group.code.size, 1))
-    columns = np.column_stack([ones, *(each.columns for each in others), group.columns])
-    first = int(columns.shape[1] - group.columns.shape[1])
-    return [at for at in independent(columns) if at >= first] == list(range(first, columns.shape[1]))
+def _is_estimable(contrasts: FloatArray, columns: list[FloatArray]) -> bool:
+    """Whether differences of levels, whose columns are the first, are determined beside all other columns."""
+    whole = np.column_stack([np.ones(len(columns[0])), *columns])
+    wanted = np.zeros((len(contrasts), whole.shape[1]))
+    wanted[:, 1 : contrasts.shape[1]] = contrasts[:, 1:]
+    size = np.sqrt((whole**2).sum(axis=0))
+    values, vectors = np.linalg.eigh((whole / size).T @ (whole / size))
+    free = vectors[:, values < _DEPENDENT * values[-1]]
+    return bool(np.allclose(wanted / size @ free, 0.0, atol=1e-6 / size[1 : contrasts.shape[1]].max()))
 
 
-def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
-    """Other groups that must be left out for all levels of this one to be estimable."""
-    others = [each for each in groups if each is not group]
-    if _is_estimable(group, others):
+def _confounded(contrasts: FloatArray, always: list[FloatArray], groups: dict[str, FloatArray]) -> tuple[str, ...]:
+    """Other groups that must be left out for all differences to be determined."""
+    if _is_estimable(contrasts, [*always, *groups.values()]):
         return ()
-    alone = [each for each in others if not _is_estimable(group, [each])]
-    rest = [each for each in others if each not in alone]
-    left_out = alone if alone and _is_estimable(group, rest) else others
-    return tuple(each.name for each in left_out)
+    alone = [name for name, each in groups.items() if not _is_estimable(contrasts, [*always, each])]
+    rest = [each for name, each in groups.items() if name not in alone]
+    return tuple(alone if alone and _is_estimable(contrasts, [*always, *rest]) else groups)
 
 
-def _differences(group: _Group, model: MixedModel, series: MetricSeries, beside: tuple[str, ...]) -> list[Difference]:
-    k = len(group.levels)
-    contrasts = np.zeros((1 if k == 2 else k, model.fixed.shape[1]))
-    own = contrasts[:, 1:k]
-    if k == 2:
-        own[0, 0] = 1.0
-    else:
-        # the first level has no column: its own contrast is minus the mean of the others
-        own[:] = -1 / (k - 1)
-        own[np.arange(1, k), np.arange(k - 1)] = 1.0
+def _differences(
+    group: _Group, contrasts: FloatArray, effects: list[ContrastEstimate], series: MetricSeries, beside: tuple[str, ...]
+) -> list[Difference]:
     there: defaultdict[str, set[str]] = defaultdict(set)
-    for level, serial in zip(series.groups[group.name], series.serial, strict=True):
-        there[level].add(serial)
-    levels, against = (group.levels[1:], group.levels[0]) if k == 2 else (group.levels, "")
-    return [
-        Difference(
-            group.name, level, against, effect, 1.0, beside, len(there[level]),
-            len(there[level] & set().union(*(units for other, units in there.items() if other != level))),
-        )
-        for level, effect in zip(levels, model.effects(contrasts), strict=True)
-    ]  # fmt: skip
+    for name, serial in zip(series.groups[group.name], series.serial, strict=True):
+        there[name].add(serial)
+    found = []
+    for contrast, effect in zip(contrasts, effects, strict=True):
+        level = group.levels[int(contrast.argmax())]
+        others = [group.levels[at] for at in np.flatnonzero(contrast < 0)]
+        on_both = there[level] & set().union(*(there[each] for each in others))
+        against = others[0] if len(others) == 1 else ""
+        units = len(there[level])
+        found.append(Difference(group.name, level, against, effect, 1.0, beside, units, len(on_both)))
+    return found
 
 
 def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:

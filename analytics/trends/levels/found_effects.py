@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.trends.charts.nelson_rules import wild_point_chance
-from analytics.trends.groups.between_stations import LEAST_PAIRS, GroupComparison, compare_groups, product_columns
+from analytics.trends.groups.between_stations import LEAST_PAIRS, GroupComparison, compare_groups
 from analytics.trends.groups.contrasts import less_block_means
 from analytics.trends.groups.level_drifts import PLACES, LevelDrift, drift_columns
 from analytics.trends.levels.drift import LEAST_POINTS, Drift, drift, shared_noises
@@ -57,18 +57,21 @@ def found_effects(
     steps = () if isinstance(shifts, NotComputed) else _certain(shifts.shifts)
     known = np.column_stack([_step_columns(series, steps), drift_columns(series, drifts)])
     unit = np.unique(np.array(series.unit), return_inverse=True)[1]
-    wild = _wild(series, unit, np.column_stack([known, _place_columns(series, PLACES)]), false_alarm)
+    # beside the places: a change of a station fitted alone takes what differs between stations for its own
+    beside = _place_columns(series, PLACES)
+    wild = _wild(series, unit, np.column_stack([known, beside]), false_alarm)
     kept = np.setdiff1d(np.arange(series.value.size), wild)
-    comparison = _compared(alike, series, known, unit, kept)
+    rest = _without(alike, known, beside, unit, kept)
+    comparison = compare_groups(rest, GROUPS, beside=known[kept])
     places = _places_that_differ(comparison, drifts, false_alarm)
     of_all = np.column_stack([known, _place_columns(series, places)])
     drifting = _drifting(series, unit, of_all, kept, false_alarm)
     slopes = _slope_columns(series, drifting)
     if drifting:
         known = np.column_stack([known, slopes])
-        comparison = _compared(alike, series, known, unit, kept)
+        rest = _without(alike, known, beside, unit, kept)
+        comparison = compare_groups(rest, GROUPS, beside=known[kept])
     effect = _effect(series.value, np.column_stack([of_all, slopes]), unit, kept, of_all.shape[1])
-    rest = replace(alike, value=alike.value - _effect(series.value, known, unit, kept)).where(kept)
     return FoundEffects(wild, drifting, steps, rest, series.value - less_block_means(effect, unit), comparison)
 
 
@@ -125,11 +128,12 @@ def _effect(
     return np.asarray(columns[:, :first] @ size[:first], np.float64)
 
 
-def _compared(
-    alike: MetricSeries, series: MetricSeries, known: FloatArray, unit: IntArray, kept: IntArray
-) -> GroupComparison | NotComputed:
-    rest = replace(alike, value=alike.value - _effect(series.value, known, unit, kept)).where(kept)
-    return compare_groups(rest, GROUPS, beside=np.column_stack([product_columns(series), known])[kept])
+def _without(
+    series: MetricSeries, known: FloatArray, beside: FloatArray, unit: IntArray, kept: IntArray
+) -> MetricSeries:
+    """The values that are kept, without what is known; fitted beside other columns."""
+    effect = _effect(series.value, np.column_stack([known, beside]), unit, kept, known.shape[1])
+    return replace(series, value=series.value - effect).where(kept)
 
 
 def _places_that_differ(

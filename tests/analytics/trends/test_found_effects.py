@@ -138,5 +138,9 @@ def test_a_difference_of_stations_is_that_since_one_of_them_changed() -> None:
     truth = 0.15 if found.effect.value > 0 else -0.15  # 0.15 - 0.30 of the other
     assert found.effect.lo < truth < found.effect.hi
     assert found.effect.hi - found.effect.lo < 0.05
+    # the change of the one is fitted beside the difference: no rest of either is in the scatter of measurements
+    (pair,) = trend.comparison.pairs
+    assert pair.effect.lo < abs(truth) * np.sign(pair.effect.value) < pair.effect.hi
+    assert trend.components["residual"].lo < NOISE < trend.components["residual"].hi < 1.3 * NOISE
     (sentence,) = [each for each in sentences(trend) if "since the level of " in each.en]
     assert "水平变化以后" in sentence.zh

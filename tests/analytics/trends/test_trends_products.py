@@ -1,5 +1,6 @@
 """Trends of several products: their limits, charts and capabilities, and the groups that are compared within them."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,17 @@ import pytest
 
 from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
+from analytics.specifications.verdicts import UNGIVEN
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
-from analytics.trends.groups.between_stations import GroupComparison
+from analytics.trends.groups.between_stations import GroupComparison, compare_groups
 from analytics.trends.report import sentences
-from analytics.trends.series import Choice, read_series
+from analytics.trends.series import Choice, MetricSeries, read_series
 from analytics.trends.trend import trend_of
+from analytics.trends.words import NotComputed
 from storage.store import Store
 from tests.analytics.trends.reported_values import Reported, english, one_each
+from tests.analytics.trends.test_trends_groups import series_of
 
 
 @pytest.mark.long
@@ -121,3 +125,77 @@ def test_products_that_are_measured_at_one_time_are_no_change_of_level(reported:
     series = read_series(reported(rows), "bias")
     assert sorted(series.unit[:20]) == [f"U0{at:02}" for at in range(20)]
     assert "changes by" not in english(trend_of(series))
+
+
+def with_another(series: MetricSeries, *, values: int, offset: float = 0.0) -> MetricSeries:
+    """The values and those of one more unit, of another product and with no fixture."""
+    more = series.where([*range(series.value.size), *[0] * values])
+    last = ["U9999"] * values
+    more.value[-values:] = 1.0 + offset
+    groups = {name: levels[:-values] + [UNGIVEN] * values for name, levels in more.groups.items()}
+    groups["station"] = more.groups["station"]
+    return replace(more, unit=more.unit[:-values] + last, groups=groups)
+
+
+def three_fixtures(seed: int, offset: float) -> MetricSeries:
+    """24 units, each on both stations and all of three fixtures; F2 differs."""
+    rng = np.random.default_rng([20261201, seed])
+    unit, times = np.tile(np.arange(24), 4), np.repeat(np.arange(4), 24)
+    fixture = (unit + times) % 3
+    value = rng.normal(1, 0.1, 24)[unit] + offset * (fixture == 2) + rng.normal(0, 0.045, 96)
+    return series_of(value, unit, station=times % 2, fixture=fixture)
+
+
+@pytest.mark.parametrize("values", [1, 5])
+def test_a_unit_of_another_product_hides_no_fixture_that_differs(values: int) -> None:
+    plain = three_fixtures(1, 0.2)
+    trend = trend_of(with_another(plain, values=values, offset=3.0), by="fixture")
+    assert not isinstance(trend.comparison, NotComputed)
+    found = {each.level: each for each in trend.comparison.differences if each.group == "fixture"}
+    assert set(found) == {"F0", "F1", "F2"}
+    assert found["F2"].effect.lo < 0.2 < found["F2"].effect.hi
+    assert found["F2"].confounded == ()
+    alone = trend_of(plain).comparison
+    assert not isinstance(alone, NotComputed)
+    (same,) = [each for each in alone.differences if each.level == "F2"]
+    assert found["F2"].effect.hi - found["F2"].effect.lo == pytest.approx(same.effect.hi - same.effect.lo, rel=0.05)
+    text = english(trend)
+    (sentence,) = [each for each in text.splitlines() if each.startswith("Fixture F2 gives values ")]
+    assert "higher than the other fixtures on average" in sentence
+    assert "Not compared: fixture (not given): no name" in text
+
+
+def test_a_level_with_few_units_weighs_little_in_the_mean_of_the_others() -> None:
+    """One unit on a fourth fixture, at its own level twice."""
+    plain = three_fixtures(2, 0.2)
+    few = with_another(plain, values=2)
+    few = replace(
+        few, groups=few.groups | {"product": ["FOG-70"] * 98, "fixture": [*few.groups["fixture"][:-2], *"ZZ"]}
+    )
+    comparison, alone = compare_groups(few), compare_groups(plain)
+    assert not isinstance(comparison, NotComputed)
+    assert not isinstance(alone, NotComputed)
+    width, before = (
+        next(each.effect.hi - each.effect.lo for each in of.differences if each.level == "F2")
+        for of in (comparison, alone)
+    )
+    assert width < 1.1 * before
+    assert "Z" in {each.level for each in comparison.differences}
+
+
+def test_levels_of_different_products_are_not_compared() -> None:
+    """Lots are of one product each: of two products with two lots each there are two differences."""
+    rng = np.random.default_rng(20261202)
+    lot = np.arange(80) // 20
+    value = rng.normal(0, 0.1, 80) + 0.5 * (lot == 1) + 4.0 * (lot > 1)
+    series = series_of(value, np.arange(80), lot=lot)
+    products = np.where(lot > 1, "Q", "P").tolist()
+    found = compare_groups(replace(series, groups=series.groups | {"product": products}))
+    assert not isinstance(found, NotComputed)
+    assert [(each.level, each.against) for each in found.differences] == [("L1", "L0"), ("L3", "L2")]
+    assert found.differences[0].effect.lo < 0.5 < found.differences[0].effect.hi
+    assert [each.adjusted < 0.01 for each in found.differences] == [True, False]
+    apart = compare_groups(replace(series, groups=series.groups | {"product": [f"P{each}" for each in lot]}))
+    assert not isinstance(apart, NotComputed)
+    assert apart.differences == ()
+    assert "lot" in apart.left_out[0].en
