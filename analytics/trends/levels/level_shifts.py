@@ -6,6 +6,7 @@ import numpy as np
 
 from analytics.trends.levels import sessions
 from analytics.trends.levels.change_points import clipped
+from analytics.trends.levels.session_model import SessionModel, Sums, variance_ratios
 from analytics.trends.levels.step_search import BestStep, StepSearch
 from analytics.trends.series import MetricSeries
 from analytics.trends.words import NotComputed, not_computed
@@ -15,7 +16,6 @@ LEAST_VALUES = 12
 MOST_SHIFTS = 6
 PLAIN = 0.01
 LIKELY = 0.2
-_MOST_RATIO = 1e6
 
 
 class LevelShift(NamedTuple):
@@ -68,8 +68,9 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     Units measured more than once separate units from stations. `false_alarm`: probability that noise alone shows a
     change, over all stations.
 
-    value = level of station + unit + session + noise. Units and sessions (a run at a station on a day) are random;
-    neighbouring sessions of a station may be correlated. The best step of one station is compared with none by their
+    value = level of station + lot + unit + session + noise. Lots, units and sessions (a run at a station on a day) are
+    random: what lots alone explain, each in sessions of its own, is neither a change nor a wander of a station.
+    Neighbouring sessions of a station may be correlated. The best step of one station is compared with none by their
     likelihoods, each with its most likely noise of the sessions; the probability is that of such a ratio in series
     simulated with the noise that fits best without a step, and with the slowest plausible one. A step that is found is
     added to the model, until no more are found. Outliers are clipped to 5 standard deviations first. Moment and size
@@ -85,8 +86,8 @@ def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShi
     if not scale > 1e-12 * abs(middle):
         return not_computed("shifts_constant")
     y = (series.value - middle) / scale
-    ratio = min(sessions.unit_ratio(y, layout.unit, station_of_value), _MOST_RATIO)
-    model = sessions.SessionModel(layout.session, layout.unit, layout.station, ratio)
+    of_unit, of_lot = variance_ratios(y, layout)
+    model = SessionModel(layout.session, layout.unit, layout.station, of_unit, layout.lot, of_lot)
     search = StepSearch(model, sessions.steps_of(layout), sessions.station_columns(layout.station))
     for _ in range(2):
         # levels first from the raw values, then from the clipped ones
@@ -125,9 +126,7 @@ def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
     return found
 
 
-def _located(
-    search: StepSearch, sums: sessions.Sums, found: BestStep, layout: sessions.Layout, scale: float
-) -> LevelShift:
+def _located(search: StepSearch, sums: Sums, found: BestStep, layout: sessions.Layout, scale: float) -> LevelShift:
     """A step with its bounds; it is no column of the search."""
     step, moments = found.step, search.moments(sums, found.step)
     size, lo, hi = (each * scale for each in moments.size())

@@ -1,18 +1,10 @@
-"""Sessions of stations in a series: their layout, possible level steps between them, and the model of their values.
-
-y = levels + unit + session + noise. All fixed effects are constant within a session, so that every result is a function
-of J sums over the sessions and of one sum of squares, however many values there are.
-"""
+"""Sessions of stations in a series: their layout, and possible level steps between them."""
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from stream.batch import FloatArray, IntArray
 
@@ -39,6 +31,7 @@ class Layout(NamedTuple):
     time: FloatArray  # shape (sessions,); mean moment of each, increasing within a station
     names: list[str]  # of the stations
     values: list[IntArray]  # indices of the values of each session
+    lot: IntArray  # shape (n,); lot of a product of each value, from 0
 
 
 def layout_of(series: MetricSeries) -> Layout:
@@ -63,9 +56,12 @@ def layout_of(series: MetricSeries) -> Layout:
     unit, serial = (
         np.unique(np.array(names), return_inverse=True)[1].astype(np.int64) for names in (series.unit, series.serial)
     )
+    lots: dict[tuple[str, str], int] = {}
+    of_lot = zip(*(series.groups.get(name, series.unit) for name in ("product", "lot")), strict=True)
+    lot = np.array([lots.setdefault(each, len(lots)) for each in of_lot], np.int64)
     time = np.array([float(np.mean(moments[at])) for at in values])
     stations = np.array([of for of, _ in merged])
-    return Layout(session, unit, serial, stations, time, [str(each) for each in names], values)
+    return Layout(session, unit, serial, stations, time, [str(each) for each in names], values, lot)
 
 
 def station_columns(station: IntArray) -> FloatArray:
@@ -110,142 +106,3 @@ def units_across(layout: Layout, step: LevelStep) -> int:
     """How many units were measured there before and after."""
     before, after = sides(layout, step)
     return int(np.intersect1d(layout.serial[before], layout.serial[after]).size)
-
-
-# variance of the sessions over that of the noise of a session's mean, and correlation of neighbouring sessions
-_RATIOS = (0.3, 1.0, 3.0, 10.0, 30.0)
-_CORRELATIONS = (0.0, 0.3, 0.6, 0.8, 0.9, 0.97)
-
-
-class SessionNoise(NamedTuple):
-    """Noise of the sessions."""
-
-    ratio: float  # variance of a session's effect over that of the noise of a session's mean; 0: none
-    correlation: float  # of neighbouring sessions of a station
-
-    @property
-    def slow(self) -> float:
-        """Variance of a mean over many sessions, in units of that of one session's white noise."""
-        return self.ratio * (1 + self.correlation) / (1 - self.correlation)
-
-
-class Sums(NamedTuple):
-    """Of one or more series on the same sessions."""
-
-    products: FloatArray  # shape (sessions, series); sums over sessions of the values, whitened of their units
-    squares: FloatArray  # shape (series,); sums of squares, likewise
-
-
-class Whitened(NamedTuple):
-    """The sessions under one noise: Z'V^-1 Z, the map from Z'A y to Z'V^-1 y, and what it subtracts from y'A y."""
-
-    noise: SessionNoise
-    weight: FloatArray
-    turn: FloatArray
-    inner: FloatArray
-    log_det: float
-
-
-@dataclass(frozen=True)
-class SessionModel:
-    """Sessions of stations, in order of station and time."""
-
-    session: IntArray  # shape (n,), as the unit; of each value, from 0
-    unit: IntArray
-    station: IntArray  # shape (sessions,); of each session, increasing
-    unit_ratio: float  # variance from unit to unit over that of the noise
-
-    @property
-    def sessions(self) -> int:
-        """Number of sessions."""
-        return self.station.size
-
-    @cached_property
-    def _counts(self) -> FloatArray:
-        """Values of each unit in each session."""
-        counts = np.zeros((int(self.unit.max()) + 1, self.sessions))
-        np.add.at(counts, (self.unit, self.session), 1.0)
-        return counts
-
-    @cached_property
-    def _unit_weights(self) -> FloatArray:
-        return np.asarray(self.unit_ratio / (1 + self.unit_ratio * self._counts.sum(axis=1)), np.float64)
-
-    @cached_property
-    def gram(self) -> FloatArray:
-        """Z'A Z, with Z the indicators of the sessions and A the inverse covariance of noise and units."""
-        counts = self._counts
-        of_units = counts.T @ (self._unit_weights[:, None] * counts)
-        return np.asarray(np.diag(counts.sum(axis=0)) - of_units, np.float64)
-
-    @cached_property
-    def mean_size(self) -> float:
-        """Mean number of values in a session."""
-        return self.session.size / self.sessions
-
-    def sums(self, y: FloatArray) -> Sums:
-        """Sums of one series, of shape (n,)."""
-        of_unit = np.bincount(self.unit, y, self._unit_weights.size)
-        products = np.bincount(self.session, y, self.sessions) - self._counts.T @ (self._unit_weights * of_unit)
-        squares = float(y @ y - self._unit_weights @ of_unit**2)
-        return Sums(products[:, None], np.array([squares]))
-
-    @cached_property
-    def noises(self) -> tuple[SessionNoise, ...]:
-        """Candidate noises, white noise first."""
-        correlations = _CORRELATIONS if self.session.size > self.sessions else _CORRELATIONS[1:]
-        return (SessionNoise(0.0, 0.0), *(SessionNoise(ratio, r) for ratio in _RATIOS for r in correlations))
-
-    def covariance(self, noise: SessionNoise) -> FloatArray:
-        """Covariance of the sessions, in units of the variance of the noise."""
-        at = np.arange(self.sessions)
-        same = self.station[:, None] == self.station[None, :]
-        apart = np.abs(at[:, None] - at[None, :])
-        return np.where(same, noise.correlation**apart, 0.0) * (noise.ratio / self.mean_size)
-
-    def _root(self, noise: SessionNoise) -> FloatArray:
-        """L with L L' the covariance, L lower triangular: that of an autoregression."""
-        root = np.zeros((self.sessions, self.sessions))
-        row = np.zeros(self.sessions)
-        for at in range(self.sessions):
-            is_first = at == 0 or self.station[at] != self.station[at - 1]
-            row = np.zeros(self.sessions) if is_first else noise.correlation * row
-            row[at] = 1.0 if is_first else np.sqrt(1 - noise.correlation**2)
-            root[at] = row
-        return np.asarray(root * np.sqrt(noise.ratio / self.mean_size), np.float64)
-
-    @cached_property
-    def whitened(self) -> tuple[Whitened, ...]:
-        """The sessions under each of the noises."""
-        return tuple(self._whitened(noise) for noise in self.noises)
-
-    def _whitened(self, noise: SessionNoise) -> Whitened:
-        n = self.sessions
-        if not noise.ratio:
-            return Whitened(noise, self.gram, np.eye(n), np.zeros((n, n)), 0.0)
-        root = self._root(noise)
-        factor = cho_factor(np.eye(n) + root.T @ self.gram @ root, lower=True)
-        inner = root @ cho_solve(factor, root.T)
-        turn = np.eye(n) - self.gram @ inner
-        log_det = 2 * float(np.log(np.diag(factor[0])).sum())
-        return Whitened(noise, turn @ self.gram, turn, inner, log_det)
-
-    def simulated(self, noise: SessionNoise, series: int, rng: np.random.Generator) -> Sums:
-        """Sums of series of noise alone, its variance 1."""
-        # Z'A y = G^(1/2) white + G session; what is orthogonal to the sessions is chi-square
-        root = np.linalg.cholesky(self.gram)
-        white = rng.standard_normal((self.sessions, series))
-        effects = self._root(noise) @ rng.standard_normal((self.sessions, series))
-        inside = white + root.T @ effects
-        freedom = self.session.size - self.sessions
-        rest = rng.chisquare(freedom, series) if freedom else np.zeros(series)
-        return Sums(root @ inside, np.sum(inside**2, axis=0) + rest)
-
-
-def unit_ratio(y: FloatArray, unit: IntArray, station: IntArray) -> float:
-    """Variance from unit to unit over that of the noise, by restricted likelihood; 0 where no unit has two values."""
-    fixed = station_columns(station)
-    model = MixedModel(y, fixed, unit)
-    if not model.has_repeats or y.size <= fixed.shape[1] + 2:
-        return 0.0
-    return model.variance_ratio()

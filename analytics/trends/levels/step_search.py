@@ -7,7 +7,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from analytics.trends.levels.sessions import LevelStep, SessionModel, SessionNoise, Sums, Whitened
+from analytics.trends.levels.session_model import SessionModel, SessionNoise, Sums, Whitened
+from analytics.trends.levels.sessions import LevelStep
 from stream.batch import FloatArray, IntArray
 
 _SIMULATED = 500
@@ -157,11 +158,8 @@ class StepSearch:
     def residuals(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Value expected of each unit and station, and the standard deviation of the residual in that of the noise."""
         model = self._model
-        level = self.levels(model.sums(y))[model.session]
-        counts = np.bincount(model.unit)
-        share = model.unit_ratio / (1 + model.unit_ratio * counts)
-        own = share * np.bincount(model.unit, y - level)
-        return level + own[model.unit], np.sqrt(1 - share[model.unit])
+        left, spread = model.residuals(y - self.levels(model.sums(y))[model.session])
+        return y - left, spread
 
     def moments(self, sums: Sums, step: LevelStep) -> "Moments":
         """All possible moments of this step: weights by their likelihoods, and sizes with each noise."""

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from analytics.plots import trend_plot
 from analytics.trends.levels.level_shifts import LevelShifts, level_shifts
-from analytics.trends.levels.sessions import SessionModel, SessionNoise, unit_ratio
+from analytics.trends.levels.session_model import SessionModel, SessionNoise, variance_ratios
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from analytics.trends.trend import trend_of
@@ -132,11 +132,12 @@ def test_points_scatter_as_measurements_do_whether_a_unit_has_one_or_many() -> N
     assert found.points.std() == pytest.approx(0.1, rel=0.15)
 
 
-def dense(series: Any, noise: SessionNoise, ratio: float, model: SessionModel) -> float:
+def dense(series: Any, noise: SessionNoise, ratios: tuple[float, float], model: SessionModel) -> float:
     """-2 ln of the restricted likelihood by its definition, up to a constant."""
     n = series.value.size
     unit, session = np.eye(model.unit.max() + 1)[model.unit], np.eye(model.sessions)[model.session]
-    v = np.eye(n) + ratio * unit @ unit.T + session @ model.covariance(noise) @ session.T
+    lot = np.eye(8)[model.lot]
+    v = np.eye(n) + ratios[0] * unit @ unit.T + ratios[1] * lot @ lot.T + session @ model.covariance(noise) @ session.T
     x = (model.station[model.session][:, None] == np.unique(model.station)).astype(float)
     inverse = np.linalg.inv(v)
     normal = x.T @ inverse @ x
@@ -145,19 +146,22 @@ def dense(series: Any, noise: SessionNoise, ratio: float, model: SessionModel) -
     return float(np.linalg.slogdet(v)[1] + np.linalg.slogdet(normal)[1] + (n - x.shape[1]) * np.log(squares))
 
 
-def test_sums_over_sessions_give_the_dense_likelihood() -> None:
+@pytest.mark.parametrize("lots", [1, 5])
+def test_sums_over_sessions_give_the_dense_likelihood(lots: int) -> None:
+    """Also where a unit is of several lots, as its measurements say."""
     from analytics.trends.levels.sessions import layout_of, station_columns
     from analytics.trends.levels.step_search import StepSearch
 
     series = simulated(np.random.default_rng(11), SMALL)
     layout = layout_of(series)
-    ratio = unit_ratio(series.value, layout.unit, layout.station[layout.session])
+    ratio, _ = variance_ratios(series.value, layout)
     assert ratio == pytest.approx(25, rel=0.9)
-    model = SessionModel(layout.session, layout.unit, layout.station, ratio)
+    lot = np.arange(series.value.size) % lots
+    model = SessionModel(layout.session, layout.unit, layout.station, ratio, lot, 0.0 if lots == 1 else 3.0)
     search = StepSearch(model, [], station_columns(layout.station))
     fits = search._fits(model.sums(series.value))
     found = np.array([-2 * float(search._likelihood(fit, fit.squares)[0]) for fit in fits])
-    expected = np.array([dense(series, noise, ratio, model) for noise in model.noises])
+    expected = np.array([dense(series, noise, (ratio, model.lot_ratio), model) for noise in model.noises])
     assert found - found[0] == pytest.approx(expected - expected[0], abs=1e-6)
 
 
@@ -165,12 +169,14 @@ def test_simulated_sums_have_the_moments_of_simulated_values() -> None:
     from analytics.trends.levels.sessions import layout_of
 
     layout = layout_of(simulated(np.random.default_rng(12), SMALL))
-    model = SessionModel(layout.session, layout.unit, layout.station, 4.0)
+    lot = layout.unit // 5
+    model = SessionModel(layout.session, layout.unit, layout.station, 4.0, lot, 9.0)
     noise = SessionNoise(3.0, 0.6)
     rng = np.random.default_rng(13)
     series = 4000
     session = rng.multivariate_normal(np.zeros(model.sessions), model.covariance(noise), series)
     own = rng.normal(0, 2.0, (series, model.unit.max() + 1))
+    own += rng.normal(0, 3.0, (series, 3))[:, np.arange(own.shape[1]) // 5]
     values = own[:, model.unit] + session[:, model.session] + rng.standard_normal((series, model.session.size))
     direct = [model.sums(each) for each in values]
     drawn = model.simulated(noise, series, rng)
@@ -231,3 +237,55 @@ def test_a_change_whose_bounds_hold_none_makes_no_station_stand_out() -> None:
     assert shift.lo < 0.0 < shift.hi
     assert "may have changed" in "\n".join(each.en for each in sentences(trend))
     assert [chart.in_control for chart in trend.charts] == [True, True]
+
+
+def lots_apart(seed: int, *, of_sessions: float = 0.0) -> MetricSeries:
+    """Four lots of twelve units, each lot in sessions of its own: on two stations, and five weeks later again.
+
+    Units of a lot differ by less than they scatter, and the third lot from the others by more.
+    """
+    rng = np.random.default_rng([20261203, seed])
+    times, unit = np.divmod(np.arange(192), 48)
+    lot, station = unit // 12, times % 2
+    days = 7 * lot + 35 * (times // 2) + station
+    value = rng.normal(0.2, 0.006, 48)[unit] + 0.07 * (lot == 2) + rng.normal(0, 0.022, 192)
+    value += rng.normal(0, of_sessions, days.max() + 1)[days]
+    series = series_of(value, unit, station=station, lot=lot)
+    moments = series.t_ns[0] + days * NS_PER_DAY
+    order = np.argsort(moments, kind="stable")
+    return replace(series, t_ns=moments, run=[f"r{day}" for day in days]).where(order)
+
+
+@pytest.mark.in_gate("10")
+@pytest.mark.parametrize("trials", [10, pytest.param(150, marks=pytest.mark.long)])
+def test_lots_that_differ_are_no_wander_of_the_stations(trials: int) -> None:
+    alarms = 0
+    for seed in range(trials):
+        found = level_shifts(lots_apart(seed))
+        assert isinstance(found, LevelShifts)
+        alarms += found.unsteady is not None or bool(found.shifts)
+    assert alarms <= binom.isf(0.001, trials, 0.01)
+
+
+def test_stations_that_wander_are_found_beside_lots_that_differ() -> None:
+    seen = []
+    for seed in range(5):
+        found = level_shifts(lots_apart(seed, of_sessions=0.03))
+        assert isinstance(found, LevelShifts)
+        seen.append(found.unsteady is not None)
+    assert sum(seen) >= 4
+
+
+@pytest.mark.long
+def test_a_shift_beside_lots_that_differ_is_sized() -> None:
+    covered = 0
+    for seed in range(40):
+        series = simulated(np.random.default_rng([15, seed]), Plan(shift=0.12, stations=2))
+        lots = np.array([int(unit[1:]) // 10 for unit in series.unit])
+        series.value[:] += 0.4 * (lots == 1)
+        series = replace(series, groups=series.groups | {"lot": [f"L{lot}" for lot in lots]})
+        found = level_shifts(series)
+        assert isinstance(found, LevelShifts)
+        own = [each for each in found.shifts if each.station == STATION]
+        covered += bool(own) and own[0].lo <= 0.12 <= own[0].hi
+    assert covered >= binom.ppf(0.001, 40, 0.92)
