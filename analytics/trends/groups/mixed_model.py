@@ -272,7 +272,8 @@ class MixedModel:
         def above(log: float) -> float:
             return self._least(at, (index, log))[1] - least - rise
 
-        lo, hi = (_crossing(above, float(at[index]), *way) for way in ((-1.0, _LEAST), (1.0, _MOST)))
+        start, (low_end, high_end) = float(at[index]), self._bounds
+        lo, hi = _crossing(above, start, -1.0, start - low_end), _crossing(above, start, 1.0, high_end - start)
         is_none = index > 0 and at[index] <= self._bounds[0]
         low, high = 0.0 if lo is None else np.exp(lo / 2), np.inf if hi is None else np.exp(hi / 2)
         return ComponentDeviation(0.0 if is_none else float(np.exp(at[index] / 2)), float(low), float(high))
@@ -296,7 +297,7 @@ def _rise(freedom: int) -> float:
 def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:
     """Where a function that is negative at `start` becomes positive in steps of that sign; None if it does not."""
     inside = start
-    while abs(inside - start) < abs(most):
+    while abs(inside - start) < most:
         outside = inside + step
         if above(outside) > 0:
             return float(brentq(above, min(inside, outside), max(inside, outside), xtol=3e-3))

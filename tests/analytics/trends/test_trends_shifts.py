@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from scipy.stats import binom
 
 from analytics.plots import trend_plot
+from analytics.trends.groups.components import components
 from analytics.trends.levels.level_shifts import LevelShifts, level_shifts
 from analytics.trends.levels.session_model import SessionModel, SessionNoise, variance_ratios
 from analytics.trends.report import sentences, stands_out
@@ -237,6 +238,13 @@ def test_a_change_whose_bounds_hold_none_makes_no_station_stand_out() -> None:
     assert shift.lo < 0.0 < shift.hi
     assert "may have changed" in "\n".join(each.en for each in sentences(trend))
     assert [chart.in_control for chart in trend.charts] == [True, True]
+
+
+def test_lots_that_do_not_differ_have_an_upper_bound() -> None:
+    """Of four lots of ten units; a component that is none begins at the least variance there is."""
+    lot = components(handed_over(), ("station", "lot"))["lot"]
+    assert lot.value == lot.lo == 0.0
+    assert 0.02 < lot.hi < 0.1
 
 
 def lots_apart(seed: int, *, of_sessions: float = 0.0) -> MetricSeries:
