@@ -14,7 +14,18 @@ from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
-from analytics.trends.words import NOTHING, NotComputed, Words, figures, group_name, interval, joined, listed, words
+from analytics.trends.words import (
+    NOTHING,
+    NotComputed,
+    Words,
+    behind,
+    figures,
+    group_name,
+    interval,
+    joined,
+    listed,
+    words,
+)
 
 _BRIEF_DAYS = 10
 _POSSIBLE = 0.05  # chance up to which a drift that is not significant is reported as a possible one
@@ -148,7 +159,7 @@ def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
         parts = _shift_parts(series, shift)
         parts["whose"] = Words(parts["whose"].en[0].lower() + parts["whose"].en[1:], parts["whose"].zh)
         largest = words("unsteady_largest", **parts)
-    deviation = f"{found.unsteady.deviation:.2g} {series.unit_of_measure}"
+    deviation = f"{found.unsteady.deviation:.2g}{behind(series.unit_of_measure)}"
     return words("unsteady", deviation=deviation, largest=largest)
 
 
@@ -200,7 +211,7 @@ def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
     series = chart.series
     return words(
         "outlier", where=f"{series.unit[point]}, {moment(series, point)}",
-        value=figures(float(chart.charted[point]), limits.sigma), unit=series.unit_of_measure, z=float(chart.z[point]),
+        value=figures(float(chart.charted[point]), limits.sigma), unit=behind(series.unit_of_measure), z=float(chart.z[point]),
         centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
     )  # fmt: skip
 
@@ -319,7 +330,10 @@ def _of_components(trend: Trend) -> Iterator[Words]:
     for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
         # the upper bound of few levels may be far away: two digits of each suffice
         value, lo, hi = (f"{each:.2g}" for each in found[name])
-        whose, unit = words(names.get(name, "between_levels"), group=group_name(name)), trend.series.unit_of_measure
+        whose, unit = (
+            words(names.get(name, "between_levels"), group=group_name(name)),
+            behind(trend.series.unit_of_measure),
+        )
         parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
     yield words("components", parts=joined(parts), without=_without(trend))
 
@@ -359,7 +373,7 @@ def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits, charted: 
         first=words("capability_first", every=charted) if charted > found.n else NOTHING,
         noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
         indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
-        sides=f"{', '.join(sides)} {trend.series.unit_of_measure}", source=limits.source,
+        sides=f"{', '.join(sides)}{behind(trend.series.unit_of_measure)}", source=limits.source,
         rule=words(f"rule_{limits.rule or 'interval'}"),
     )  # fmt: skip
 

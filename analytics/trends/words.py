@@ -80,9 +80,18 @@ def interval(value: float, lo: float, hi: float, unit: str) -> Words:
     Words(en='0.0495 deg/h (0.0412 to 0.0578)', zh='0.0495 deg/h（0.0412 至 0.0578）')
     """
     half = (hi - lo) / 2
-    name = "" if unit in {"", "1"} else f" {unit}"
     shown, least, most = (figures(each, half) for each in (value, lo, hi))
+    name = behind(unit)
     return Words(f"{shown}{name} ({least} to {most})", f"{shown}{name}（{least} 至 {most}）")
+
+
+def behind(unit: str) -> str:
+    """A unit as it stands behind a number: nothing for a plain number.
+
+    >>> behind("deg/h"), behind("1")
+    (' deg/h', '')
+    """
+    return "" if unit in {"", "1"} else f" {unit}"
 
 
 def listed(names: list[str], most: int = 5) -> Words:
