@@ -12,6 +12,7 @@ from ingest.can.counters import FrameCounter
 from ingest.can.decode import Decoded, FrameBytes, RawArray, SignalLayout, scaled
 from ingest.can.forward_times import ForwardTimes
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
+from ingest.can.pairs import PairFinder
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
 from ingest.can.summary import CanCounts, MessageCount
 from ingest.checksums import checksums
@@ -48,18 +49,21 @@ _J1939_MOST = {8: 0xFA, 16: 0xFAFF, 32: 0xFAFFFFFF}
 
 
 class _RouteState:
-    def __init__(self, route: Route) -> None:
+    def __init__(self, route: Route, *, finds_pairs: bool) -> None:
         message = route.message
         self.route, self.channel, self.source = route, route.channel, route.source
         self.tally = MessageCount(message.layout.name, route.unit, route.arbitration_id)
         self.times = ForwardTimes()
+        self.pairs = PairFinder() if finds_pairs else None
         self.counter = None if message.counter is None else FrameCounter(message.counter.modulus, message.interval_ns)
         self.anchor_ns: int | None = None
 
     def count(self) -> MessageCount:
         of_counter = ("lost", "repeated", "restarts", "strays")
         numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in of_counter}
-        return replace(self.tally, **numbers, late=self.times.late, retimed=self.times.retimed)
+        late, retimed = self.times.late, self.times.retimed
+        pairs = None if self.pairs is None else self.pairs.found()
+        return replace(self.tally, **numbers, late=late, retimed=retimed, pairs=pairs)
 
     def take(self, frames: _Frames) -> list[SignalPiece]:
         """Samples of those frames that are of the route."""
@@ -113,6 +117,8 @@ class _RouteState:
         """Keep the frames that are new; returns their times."""
         message = self.route.message
         if self.counter is None or message.counter is None:
+            if self.pairs is not None:
+                self.pairs.follow(frames.t_ns, frames.octets, keep)
             times_ns, is_forward = self.times.follow(frames.t_ns if keep.all() else frames.t_ns[keep])
             keep[keep] = is_forward
             return times_ns
@@ -191,10 +197,13 @@ def _outside(raw: RawArray, layout: SignalLayout) -> int:
 
 
 class CanSamples:
-    """Turns frames into samples; counters and grids continue from block to block."""
+    """Turns frames into samples; counters and grids continue from block to block.
 
-    def __init__(self, plan: CanPlan) -> None:
-        self._states = [_RouteState(route) for route in plan.routes]
+    With `finds_pairs` the account says which messages without a counter have every frame twice.
+    """
+
+    def __init__(self, plan: CanPlan, *, finds_pairs: bool = False) -> None:
+        self._states = [_RouteState(route, finds_pairs=finds_pairs) for route in plan.routes]
         keys = sorted({route.key for route in plan.routes})
         self._known = np.array(keys, np.uint32)
         self._pgns = np.array([key & ~OF_PGN for key in keys if key & OF_PGN], np.uint32)

@@ -83,6 +83,7 @@ class LogScan:
     frames: int
     error_frames: int
     remote_frames: int
+    echoes: int  # left out, as they repeat a frame of the other direction
     seconds: float
     date_known: bool
     damage: str
@@ -153,6 +154,7 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
     times_ns = [int(each.times_ns[i][j]) for each in seen.values() for i, j in ((0, 0), (-1, -1))]
     return LogScan(
         file=str(path), frames=log.counts.data, error_frames=log.counts.errors, remote_frames=log.counts.remote,
+        echoes=log.counts.echoes,
         seconds=(max(times_ns) - min(times_ns)) / 1e9 if times_ns else 0.0,
         date_known=bool(times_ns) and min(times_ns) >= 10**17, damage=log.damage,
         ids=tuple(_id_scan(key, each, messages.find(key[0])) for key, each in sorted(seen.items())),

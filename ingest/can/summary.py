@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ingest.can.frames import id_text, ids_text
+from ingest.can.pairs import Pairs
 from ingest.tables.sample_file import TableSummary
 
 COUNTED = {
@@ -29,17 +30,21 @@ _FAR_S = 1.0  # beyond what waits and priorities on a bus can delay a frame
 
 @dataclass
 class LogFrameCounts:
-    """Frames of a log by kind; unusable are those whose time, channel, id or length no bus has."""
+    """Frames of a log by kind; unusable are those whose time, channel, id or length no bus has.
+
+    `echoes` repeat a data frame of the other direction.
+    """
 
     data: int = 0
     errors: int = 0
     remote: int = 0
     unusable: int = 0
+    echoes: int = 0
 
     @property
     def all(self) -> int:
         """All frames that were read."""
-        return self.data + self.errors + self.remote + self.unusable
+        return self.data + self.errors + self.remote + self.unusable + self.echoes
 
 
 @dataclass
@@ -65,6 +70,7 @@ class MessageCount:
     retimed: int = 0  # a little late, put after the one before
     off_grid_s: float = 0.0  # largest distance of a reception from its place on the grid (counter with interval), s
     other_source: int = 0  # left out, of another J1939 source than the first frame's, if the mapping names none
+    pairs: Pairs | None = None  # frames that come in pairs of the same data; None if they do not
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,8 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
         yield f"{of_kind.remote} remote frames"
     if of_kind.unusable:
         yield f"{of_kind.unusable} frames left out: no bus has their time, channel, id or length"
+    if of_kind.echoes:
+        yield echoes_remark(of_kind.echoes)
     if counts.unknown:
         frames = sum(counts.unknown.values())
         yield f"{frames} frames of {len(counts.unknown)} ids that are not mapped: {ids_text(counts.unknown)}"
@@ -105,12 +113,31 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
         )
         if text:
             yield f"message {count.message} of unit {count.unit}: {text}"
+        if count.pairs is not None:
+            yield _pairs_remark(count, count.pairs)
         if count.off_grid_s > _FAR_S:
             yield (
                 f"message {count.message} of unit {count.unit}: frames came up to {count.off_grid_s:,.4g} s before or "
                 f"after the time that counter and interval_s give them, which they now have: the interval is not "
                 f"exact, or the logger's clock was changed"
             )
+
+
+def echoes_remark(frames: int) -> str:
+    """A remark on frames that a log has twice, sent and received."""
+    return (
+        f"{frames} frames left out: each repeats a frame of the other direction (Rx, Tx) of its id, channel and data "
+        "within 5 ms, as a logger records what it sends itself"
+    )
+
+
+def _pairs_remark(count: MessageCount, pairs: Pairs) -> str:
+    return (
+        f"warning: message {count.message} of unit {count.unit}: {pairs.number} of {count.frames} frames repeat the "
+        f"data of the frame before, {pairs.within_s:.3g} s after it, where the others come {pairs.between_s:.3g} s "
+        "apart: the log seems to have every frame twice, as of two loggers, or sent and received; all are taken as "
+        "samples, so write the log with each frame once, or name the counter of the message in a mapping"
+    )
 
 
 @contextmanager

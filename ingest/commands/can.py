@@ -65,6 +65,8 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
 
 
 def _report(found: "LogScan") -> None:
+    from ingest.can.summary import echoes_remark
+
     clock = "UTC" if found.date_known else "from the log's start, date unknown"
     table = ResultTable(title=f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})")
     for name in ("id", "channel", "frames", "rate", "bytes", "message", "varies", "counter", "constant"):
@@ -77,6 +79,8 @@ def _report(found: "LogScan") -> None:
     for number, kind in ((found.error_frames, "error"), (found.remote_frames, "remote")):
         if number:
             notes().print(f"{number:,} {kind} frames")
+    if found.echoes:
+        notes().print(echoes_remark(found.echoes), soft_wrap=True)
     if found.damage:
         notes().print(f"error: {found.file}: {found.damage}; the good part of it is shown", style="red", soft_wrap=True)
 

@@ -15,6 +15,7 @@ from can.io.generic import MessageReader
 
 from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
 from ingest.can.logs.bounds import check_bounds, check_objects
+from ingest.can.logs.echoes import Echoes
 from ingest.can.logs.mf4 import mf4_reader
 from ingest.can.logs.structure import LEAST_BYTES, MAGIC, find_damage
 from ingest.can.logs.text_logs import AscReader, CandumpReader, TrcReader, lines_left_out
@@ -50,7 +51,7 @@ class CanLog:
     def __init__(self, path: Path, zone: str | None = None) -> None:
         self.path, self._zone = path, zone
         self.damage = self.note = ""
-        self.counts = LogFrameCounts()
+        self.counts, self._echoes = LogFrameCounts(), Echoes()
         self._channels: dict[str, int] = {}
         self._held: list[FrameBlock] | None = None
         _check_kind(path)
@@ -64,7 +65,7 @@ class CanLog:
             if progress is not None:
                 progress(1.0)
             return
-        self.counts = LogFrameCounts()
+        self.counts, self._echoes = LogFrameCounts(), Echoes()
         self.damage, self.note = find_damage(self.path)
         held: list[FrameBlock] | None = []
         held_bytes, size = 0, max(self.path.stat().st_size, 1)
@@ -140,11 +141,15 @@ class CanLog:
         ):
             self.counts.unusable += 1
             return None
-        self.counts.data += 1
         identifier = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
         seconds = message.timestamp
         t_ns = round(seconds * 1e6) * 1000 if seconds >= _UTC_FROM_S else round(seconds * 1e9)
-        return CanFrame(t_ns, channel, identifier, bytes(message.data))
+        frame = CanFrame(t_ns, channel, identifier, bytes(message.data))
+        if self._echoes.is_echo(frame, is_rx=message.is_rx):
+            self.counts.echoes += 1
+            return None
+        self.counts.data += 1
+        return frame
 
     def _channel(self, channel: object) -> int:
         """Number of a channel; names that end in none are numbered as they come."""

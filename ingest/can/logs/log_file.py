@@ -58,7 +58,7 @@ class CanLogFile:
 
     def check(self, progress: Progress | None = None) -> CanSummary:
         """Read and decode the whole log; raises BadInput if it gives no sample."""
-        samples, clock = CanSamples(self._plan), RunClock(self._start_ns)
+        samples, clock = CanSamples(self._plan, finds_pairs=True), RunClock(self._start_ns)
         grids: dict[_Name, SamplingGrid] = {}
         plans: dict[_Name, SignalPlan] = {}
         for piece in self._pieces(samples, clock, progress):

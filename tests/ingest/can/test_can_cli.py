@@ -192,3 +192,28 @@ def test_what_a_proposed_mapping_leaves_out_is_named_and_can_be_taken(tmp_path: 
     (message,) = tomllib.loads(mapping.read_text())["message"]
     assert message["signals"] == {"Rate": "rate", "TableAngle": "tableangle", "Saw": "saw"}
     assert message["counter"] == {"signal": "Counter", "modulus": 16}
+
+
+def test_a_log_with_every_frame_sent_and_received(tmp_path: Path) -> None:
+    logs = {}
+    for name in ("echoes", "copies", "sent"):
+        logs[name] = tmp_path / f"{name}.log"
+        with can.Logger(logs[name]) as logger:
+            for i in range(300):
+                body = (i * i & 0x7FFF).to_bytes(2, "little") + bytes(6)
+                frame = can.Message(START_S + i * 0.01, 0x101, is_extended_id=False, data=body, is_rx=name != "sent")
+                logger.on_message_received(frame)
+                if name != "sent":
+                    frame.timestamp, frame.is_rx = frame.timestamp + 0.0001, name == "copies"
+                    logger.on_message_received(frame)
+    words = ("--dbc", DBC, "--unit", "FOG-1", "--store", tmp_path / "store")
+    echoes, copies, sent = run("import", *logs.values(), *words)["files"]
+    for each in (echoes, sent):
+        assert {(s["sample_interval_s"], s["irregular"], s["in_lake"]) for s in each["signals"]} == {(0.01, False, 300)}
+    assert not [each for each in sent["remarks"] if "left out" in each or "repeat" in each]
+    assert echoes["remarks"][-1].startswith("300 frames left out: each repeats a frame of the other direction (Rx, Tx)")
+    assert {each["in_lake"] for each in copies["signals"]} == {600}
+    assert (
+        "299 of 600 frames repeat the data of the frame before, 0.0001 s after it, where the" in copies["remarks"][-1]
+    )
+    assert run("can", "scan", logs["echoes"], "--dbc", DBC)["scan"]["echoes"] == 300

@@ -1,5 +1,6 @@
 """Logs written by python-can come back frame for frame, whole or cut."""
 
+import copy
 import struct
 import warnings
 import zlib
@@ -230,3 +231,17 @@ def test_records_of_an_unfinished_mf4_are_whole_or_not(tmp_path: Path, records: 
     assert ("complete" in note, "may be missing" in damage) == (is_complete, not is_complete)
     path.write_bytes(recorder_mf4(records, flags=0x75))  # the list of data blocks is not up to date either
     assert "may be missing" in find_damage(path)[0]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_frames_sent_and_received_are_read_once(tmp_path: Path, suffix: str) -> None:
+    frames = [frame for each in messages(40) for frame in (each, copy.copy(each))]
+    for echo in frames[1::2]:
+        echo.timestamp, echo.is_rx = echo.timestamp + 0.0002, False
+    frames[41].data = bytearray(len(frames[41].data))  # what was sent is not what was received
+    log = CanLog(written(tmp_path / f"bench{suffix}", frames))
+    found = read(log)
+    assert [data for *_, data in found] == [
+        bytes(each.data) for each in [*frames[:41:2], *frames[41:43], *frames[44::2]]
+    ]
+    assert (log.counts.data, log.counts.echoes) == (41, 39)
