@@ -32,6 +32,7 @@ from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, in_fixtures, mounted_documents, read_units
 from ingest.station_clock import StationClock
+from storage.store import writer_endpoint
 from stream.errors import BadInput, InstrumentError, RunAborted
 from stream.events import Verdict
 from stream.status.reporter import StatusReporter, served
@@ -92,7 +93,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         is_ending = asked.is_ended or (known is not None and known.aborted_by is not None)
         is_over = phase not in {"starting", "running"} or (phase == "running" and is_ending)
         sources = None if is_over else StationSources(job.station, job.instruments, job.clock, job.serials)
-        found = _checked(stack, job, asked, sources, destination)
+        at = 0 if known is None else resume_index(job.steps, known.step)
+        found = _checked(stack, job, asked, sources, destination, at)
         t0_ns = job.clock.now_ns() if known is None else known.t0_ns
         limits = _limits(asked, job, sources, destination.folder, t0_ns)
         if asked.is_check:
@@ -233,16 +235,19 @@ def _carried_out(
 
 
 def _checked(
-    stack: ExitStack, job: _Job, asked: ProcedureRun, sources: StationSources | None, destination: Destination
+    stack: ExitStack, job: _Job, asked: ProcedureRun, sources: StationSources | None, destination: Destination, at: int
 ) -> Preflight:
-    """Check whether a run can begin, where one is to; warnings are shown at once."""
+    """Check whether a run can begin at a step, where one is to; warnings are shown at once."""
     if sources is None:
         return Preflight({}, ())
     duration_s = job.procedure.duration_s(asked.parameters)
     folders = [destination.spools] if destination.connect is not None else [destination.folder, destination.spools]
+    is_here = destination.connect in {None, writer_endpoint(destination.folder)}
+    recorded_s = sum(each.warm_up_s + each.settle_s + each.record_s for each in job.steps[at:])
     found = preflight(
-        stack, job.station, job.instruments, sources, folders=folders, now_ns=job.clock.now_ns(), duration_s=duration_s
-    )
+        stack, job.station, job.instruments, sources, folders=folders, now_ns=job.clock.now_ns(), duration_s=duration_s,
+        store=destination.folder if is_here else None, recorded_s=recorded_s,
+    )  # fmt: skip
     if (remark := sources.remark_on(asked.estimated)) is not None:
         found = found._replace(warnings=(*found.warnings, f"warning: {remark}"))
     for warning in found.warnings:
@@ -372,10 +377,14 @@ def _release(release: Release) -> dict[str, object]:
 def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:
     if as_json:
         about = {"procedure": job.procedure.name, "steps": len(job.steps), "instruments": found.instruments}
-        print_json({"event": "checked", **about, "warnings": list(found.warnings), "limits": list(limits.remarks)})
+        room = None if found.room is None else found.room._asdict()
+        remarks = {"warnings": list(found.warnings), "limits": list(limits.remarks)}
+        print_json({"event": "checked", **about, **remarks, "room": room})
         return
     for line in (*(f"{name}: {identity}" for name, identity in found.instruments.items()), *limits.remarks):
         results().print(line, soft_wrap=True)
+    if found.room is not None and found.room.warning is None:
+        results().print(f"it takes {found.room}", soft_wrap=True)
     warned = f", {counted(len(found.warnings), 'warning')}" if found.warnings else ""
     could = f"{job.procedure.name} could begin: {len(job.steps)} steps{warned}; nothing was written"
     results().print(could, soft_wrap=True)

@@ -14,6 +14,7 @@ from stream.batch import SampleBatch
 from stream.errors import InstrumentError
 
 _LOOK_S = 0.05
+BATCH_S = 0.25
 _MOST_BYTES = 1 << 16
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 10.0
@@ -30,7 +31,7 @@ class SerialLine:
 
     def __init__(
         self, port: str, baud: int, layout: FrameLayout, unit: str, run: str, epoch: UUID, clock: StationClock,
-        deliver: Callable[[SampleBatch], None], report: Callable[[str], None], *, batch_s: float = 0.25,
+        deliver: Callable[[SampleBatch], None], report: Callable[[str], None], *, batch_s: float = BATCH_S,
     ) -> None:  # fmt: skip
         self.frames = SerialFrames(layout, unit, run, epoch)
         self.error: Exception | None = None

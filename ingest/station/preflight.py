@@ -4,11 +4,12 @@ import ctypes
 import datetime as dt
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from ingest.instruments.base import Instrument
+from ingest.station.room import RunRoom, existing, run_room
 from ingest.station.sources import StationSources
 from ingest.station.station import Station
 from storage.recording.disk_watch import DiskWatch, format_bytes
@@ -27,16 +28,20 @@ class Preflight(NamedTuple):
 
     instruments: Mapping[str, str]
     warnings: tuple[str, ...]
+    room: RunRoom | None = None  # where the store is on this computer
 
 
 def preflight(
     stack: ExitStack, station: Station, instruments: Mapping[str, Instrument], sources: StationSources, *,
-    folders: Sequence[Path], now_ns: int, duration_s: float, disk: Disk = DISK,
+    folders: Sequence[Path], now_ns: int, duration_s: float, store: Path | None = None, recorded_s: float = 0.0,
+    disk: Disk = DISK,
 ) -> Preflight:  # fmt: skip
     """Check instruments, buses, serial lines, disks, clock and calibration dates; all obstacles are reported at once.
 
     The instruments stay open until the stack is left. `folders` will be written; the clock is compared with the newest
-    run of those that are stores. Raises InstrumentError, with every obstacle, if the run could not be recorded.
+    run of those that are stores. `store` is to take `recorded_s` seconds of all sources: that its disk has too little
+    room is a warning, as the estimate is rough and room may be made meanwhile. Raises InstrumentError, with every
+    obstacle, if the run could not be recorded.
     """
     stops: list[str] = []
     found: dict[str, str] = {}
@@ -59,17 +64,22 @@ def preflight(
                 "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "
                 "`timedatectl set-ntp true` mends it"
             )
+    room = None
+    if store is not None:
+        with suppress(OSError):  # an obstacle already
+            room = run_room(sources.flows(), recorded_s, store, disk)
+            warnings += filter(None, [room.warning])
     if len(stops) == 1:
         raise InstrumentError(stops[0])
     if stops:
         listed = "".join(f"\n- {stop}" for stop in stops)
         raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
-    return Preflight(found, tuple(f"warning: {warning}" for warning in warnings))
+    return Preflight(found, tuple(f"warning: {warning}" for warning in warnings), room)
 
 
 def _disk_trouble(folder: Path, disk: Disk) -> str | None:
     """Why a folder could not take a run; None where it could."""
-    there = next((each for each in (folder, *folder.absolute().parents) if each.is_dir()), Path("/"))
+    there = existing(folder)
     try:
         reserve = DiskWatch(there, disk).reserve_bytes
         space = disk.space(there)

@@ -13,6 +13,8 @@ from ingest.instruments.base import Instrument, Reading
 from stream.batch import SampleBatch
 from stream.errors import GyrofleetError, InstrumentError
 
+BATCH_S = 1.0
+
 _GRID_TOLERANCE = 0.1
 _MOST_IN_BATCH = 1000
 _FIRST_PAUSE_S = 0.5
@@ -44,7 +46,7 @@ class Sampler:
 
     def __init__(
         self, instrument: Instrument, run: str, epoch: UUID, deliver: Callable[[SampleBatch], None],
-        report: Callable[[str], None], *, lock: AbstractContextManager[object] | None = None, batch_s: float = 1.0,
+        report: Callable[[str], None], *, lock: AbstractContextManager[object] | None = None, batch_s: float = BATCH_S,
     ) -> None:  # fmt: skip
         self._instrument = instrument
         kind = f"the {instrument.names['en']} " if hasattr(instrument, "names") else ""

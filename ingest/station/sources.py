@@ -1,10 +1,10 @@
 """The sources of a station: its buses, serial lines and instruments, each delivering batches of samples."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from uuid import uuid4
 
-from ingest.can.bus.bus import CanBus
+from ingest.can.bus.bus import BLOCK_S, CanBus
 from ingest.can.bus.columns import ReceiveClock
 from ingest.can.bus.interface import open_intake
 from ingest.can.mapping import CanMapping
@@ -13,9 +13,11 @@ from ingest.can.stream import CanDecoder
 from ingest.can.summary import MessageCount
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
-from ingest.serial.serial_line import SerialLine, open_port
+from ingest.serial.serial_line import BATCH_S, SerialLine, open_port
+from ingest.station.room import Flow
 from ingest.station.run import RunSource
 from ingest.station.run_log import RunLog
+from ingest.station.sampling import BATCH_S as INSTRUMENT_BATCH_S
 from ingest.station.sampling import Sampler
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
@@ -64,6 +66,22 @@ class StationSources:
         for name, line in self._lines.items():
             came += [(line.unit, field.signal, field.unit) for field in self._layouts[name].fields]
         return came
+
+    def flows(self) -> Iterator[Flow]:
+        """What comes from units and instruments, as mappings, databases, layouts and the station's file state it."""
+        of_computer_s = self._clock.speed
+        for plan in self._plans.values():
+            for message in (route.message for route in plan.routes):
+                interval_s = (message.interval_ns or message.cycle_ns) / 1e9 or None
+                for is_counts in (True, False):
+                    signals = sum(each.is_counts == is_counts for each in message.signals)
+                    yield Flow(signals, interval_s, BLOCK_S * of_computer_s, is_counts)
+        for name in self._lines:
+            layout = self._layouts[name]
+            yield Flow(len(layout.fields), layout.interval_s, BATCH_S * of_computer_s)
+        for each in self._instruments.values():
+            interval_s = float(each.options.sample_interval_s)
+            yield Flow(len(each.signals), interval_s, INSTRUMENT_BATCH_S * of_computer_s, is_counts=False)
 
     def rate_signals(self) -> dict[str, list[str]]:
         """Angular rates that each unit delivers."""

@@ -24,6 +24,7 @@ from stream.transport.bus import call_handlers
 __all__ = ["CanBus", "CanBusCounts", "CanBusOptions", "Decoder"]
 
 _WAIT_S = 0.05
+BLOCK_S = 0.05
 _LAST_LOOK_S = 0.5  # on a bus under load the last look never ends by itself
 _CHECK_S = 0.5
 _BLOCK_FRAMES = 16_384
@@ -84,7 +85,7 @@ class CanBus:
 
     def __init__(
         self, options: CanBusOptions, clock: StationClock, decoder: Decoder, deliver: Callable[[SampleBatch], None],
-        report: Callable[[str], None], *, wanted: Collection[int] | None = None, block_s: float = 0.05,
+        report: Callable[[str], None], *, wanted: Collection[int] | None = None, block_s: float = BLOCK_S,
         most_waiting: int = 200_000, reopen_s: tuple[float, float] = (0.1, 5.0),
         frame_counts: Callable[[], Iterable[MessageCount]] = tuple,
     ) -> None:  # fmt: skip

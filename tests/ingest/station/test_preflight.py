@@ -54,16 +54,19 @@ class Looked:
         self.store = folder / "S"
         self._folder = folder
 
-    def __call__(self, due: str = "2090-01-01", now_ns: int = NOW_NS, free: int = 50 << 30) -> Preflight:
+    def __call__(
+        self, due: str = "2090-01-01", now_ns: int = NOW_NS, free: int = 50 << 30, hours: float = 24.0, more: str = ""
+    ) -> Preflight:
         path = self._folder / "station.toml"
-        path.write_text(STATION.format(due=due))
+        path.write_text(STATION.format(due=due) + more)
         station: Station = load_station(path)
         clock = station.make_clock()
-        sources = StationSources(station, {}, clock, ())
+        units = ("FOG-1", "FOG-2") if more else ()
+        sources = StationSources(station, station.make_instruments(clock), clock, units)
         with ExitStack() as stack:
             return preflight(
                 stack, station, {}, sources, folders=[self.store], now_ns=now_ns, duration_s=86400.0,
-                disk=SmallDisk(free),
+                store=self.store, recorded_s=3600 * hours, disk=SmallDisk(free),
             )  # fmt: skip
 
 
@@ -72,6 +75,38 @@ def test_a_disk_on_which_recording_would_pause_is_refused_where_the_store_is_not
     with pytest.raises(InstrumentError, match=r"300\.0 MB free of .* recording pauses below 268\.4 MB: free space"):
         looked(free=300_000_000)
     assert not looked.store.exists()
+
+
+def test_a_run_that_the_disk_cannot_hold_is_warned_of(looked: Looked, tmp_path: Path) -> None:
+    (tmp_path / "gyros.dbc").write_text(
+        'VERSION ""\nBU_: X\nBO_ 257 IMU: 8 X\n SG_ Rate : 0|16@1- (0.01,0) [0|0] "deg/s" X\n'
+        ' SG_ Counter : 16|16@1+ (1,0) [0|0] "" X\nBO_ 258 SLOW: 8 X\n SG_ Temp : 0|16@1- (0.01,0) [0|0] "degC" X\n'
+    )
+    message = '[[message]]\nmessage = "{}"\nids = {{"FOG-1" = {}, "FOG-2" = {}}}\nsignals = {{{}}}\n'
+    (tmp_path / "gyros.toml").write_text(
+        message.format("IMU", 1, 2, 'Rate = "rate"') + 'counter = {signal = "Counter", modulus = 65536}\n'
+        "interval_s = 0.001\n" + message.format("SLOW", 3, 4, 'Temp = "temperature"')
+    )
+    bus = """
+[buses.can]
+dbc = ["gyros.dbc"]
+mapping = "gyros.toml"
+[buses.can.bus]
+interface = "virtual"
+channel = "room"
+"""
+    room = looked(free=1 << 30, more=bus, hours=24.0).room
+    assert room is not None
+    day_s, of_table = 86_400, 2
+    # 2.4 bytes a sample, 85 a message of 50 ms; the table's are numbers, each a message
+    needed = 2 * day_s * (1000 * 2.4 + 20 * 85) + of_table * day_s * (16 + 85)
+    assert (room.samples, room.unknown_signals) == (2 * day_s * 1000 + of_table * day_s, 2)
+    assert (abs(room.needed_bytes - needed) <= 1, room.free_bytes, room.warning) == (True, 1 << 30, None)
+    (warning,) = (each for each in looked(free=1 << 30, more=bus, hours=72.0).warnings if "needs" in each)
+    assert warning.startswith(
+        "warning: the run needs about 2.2 GB for 518,918,400 samples, and more for 2 signals whose interval nothing "
+        "states; 1.1 GB are free on the disk of "
+    )
 
 
 def test_a_clock_that_was_never_set_or_lies_before_the_newest_run_is_refused(looked: Looked) -> None:
