@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from ingest.tables.dated_clocks import DatedClock, find_dated_clock, why_no_moment
 from ingest.tables.rows import Room
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
@@ -78,12 +79,16 @@ class SignalColumn:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of times: numbers of `ns_per_unit` nanoseconds, or of a type of time stamps or of durations."""
+    """The column of times: numbers of `ns_per_unit` nanoseconds, or of a type of time stamps or of durations.
+
+    With `date_title`, its time stamps are times of day whose date that column has.
+    """
 
     title: str
     ns_per_unit: int
     is_stamp: bool = False
     is_duration: bool = False
+    date_title: str | None = None
 
 
 @dataclass
@@ -116,15 +121,17 @@ def read_header(
     stamps: Collection[str] = (),
     durations: Mapping[str, str] | None = None,
     unsuited: Mapping[str, str] | None = None,
+    first: Mapping[str, str] | None = None,
 ) -> Columns:
     """Find the meaning of columns; raises BadInput if titles break the contract.
 
     `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each;
-    `unsuited` of columns that are neither times nor numbers, with what they hold.
+    `unsuited` of columns that are neither times nor numbers, with what they hold; `first` are the first cells of a text
+    table.
     """
     try:
         _refuse_repeated("column", titles)
-        reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {})
+        reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {}, first or {})
         _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated_signals(columns.signals)
@@ -168,9 +175,10 @@ def _refuse_repeated_signals(signals: Sequence[SignalColumn]) -> None:
 class _HeaderReader:
     def __init__(
         self, titles: Sequence[str], options: TableOptions, stamps: Collection[str], durations: Mapping[str, str],
-        unsuited: Mapping[str, str],
+        unsuited: Mapping[str, str], first: Mapping[str, str],
     ) -> None:  # fmt: skip
         self.columns = Columns()
+        self._first = first
         self._stamps, self._durations, self._unsuited = stamps, durations, unsuited
         self._renames: dict[str, str] = {}
         for old, new in options.renames:
@@ -181,6 +189,8 @@ class _HeaderReader:
             if self._renames.get(found[0], new) != new:
                 raise BadInput(f"--rename {old!r}: given twice, as {self._renames[found[0]]!r} and {new!r}; give one")
             self._renames[found[0]] = new
+        names = {title: _parts(self._renames.get(title, title))[0] for title in titles}
+        self._dated_clock = find_dated_clock(names, first)
         # of `Time [s]`; beside others that may be the time, nobody knows
         times = [title for title in titles if _is_time_name(_parts(title)[0])]
         self._only_time = times[0] if len(times) == 1 and not options.sample_rate_hz else None
@@ -190,6 +200,9 @@ class _HeaderReader:
             raise BadInput(f"column {number} has no title; {_SQUARE} or remove it")
         if self._renames.get(title) == "":
             self.columns.remarks.append(f"column {title!r} is left out, as --rename says")
+            return
+        if self._dated_clock is not None and title in self._dated_clock:
+            self._add_dated_clock(title, self._dated_clock)
             return
         name, unit, is_foreign = _parts(title)
         if title in self._renames:
@@ -204,6 +217,9 @@ class _HeaderReader:
         is_time = _is_time_name(name)
         is_stamp = title in self._stamps
         is_typed = is_stamp or title in self._durations
+        lacking = None if name in {"unit", "run"} | WORD_NAMES else why_no_moment(self._first.get(title, ""))
+        if lacking is not None:
+            raise BadInput(self._not_as_moment(title, lacking))
         if name == "time" or (
             is_time and (is_typed or ((is_foreign or title == self._only_time) and _is_of_time(unit)))
         ):
@@ -219,6 +235,17 @@ class _HeaderReader:
             raise BadInput(_how_to_name(title, name, held))
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
+
+    def _add_dated_clock(self, title: str, found: DatedClock) -> None:
+        lacking = why_no_moment(self._first[title], has_date=True)
+        if lacking is not None:
+            raise BadInput(self._not_as_moment(title, lacking))
+        if title == found.date:
+            return  # with the column of times of day
+        if self.columns.time is not None:
+            raise BadInput(f"columns {self.columns.time.title!r} and {title!r} are both times; keep one")
+        self.columns.time = TimeColumn(title, 1, is_stamp=True, date_title=found.date)
+        self.columns.remarks.append(f"the times are columns {found.date!r} and {found.clock!r} together")
 
     def _add_time(self, title: str, unit: str | None, *, is_stamp: bool, is_foreign: bool) -> None:
         if self.columns.time is not None:
@@ -245,6 +272,11 @@ class _HeaderReader:
             self.columns.time = TimeColumn(title, ns_per_unit(time_unit(unit)))
         except BadInput as error:
             raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
+
+    @staticmethod
+    def _not_as_moment(title: str, lacking: str) -> str:
+        leave_out = f"leave it out: --rename '{title}=' (without times give --sample-rate)"
+        return f"column {title!r} holds {lacking}; or {leave_out}"
 
     def _not_suited(self, title: str, *, is_time: bool) -> str:
         holds, leave_out = f"column {title!r} holds {self._unsuited[title]}", f"leave it out: --rename '{title}='"

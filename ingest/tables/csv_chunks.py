@@ -12,6 +12,7 @@ from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
 from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, usual_lines, without_blanks
+from ingest.tables.dated_clocks import joined_cells
 from ingest.tables.encodings import how_to_convert, utf16_of
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
@@ -40,6 +41,7 @@ class CsvTable:
         self._is_gb18030 = False
         self._dialect = self._find_dialect()
         self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
+        self.first_cells = self._dialect.first_cells
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         self.duration_units: dict[str, str] = {}
         self.unsuited: dict[str, str] = {}
@@ -103,7 +105,7 @@ class CsvTable:
         self._lines = LineReader(self.titles, columns, self._dialect.delimiter, self._decimal_mark, time_zone)
         self._places = None if columns.time is None else decimal_places(columns.time.ns_per_unit)
         if columns.time is not None and columns.time.is_stamp:
-            self._lines.has_zone = self._dialect.has_zone(columns.time.title)
+            self._lines.has_zone = self._dialect.has_zone(columns.time)
             self._has_stamps_without_zone = self._lines.has_zone is False
 
     def blocks(self) -> Iterator[CellBlock]:
@@ -250,7 +252,7 @@ class CsvTable:
             return None
         times_ns = None
         if self._columns.time is not None:
-            times_ns = self._times(table.column(self._columns.time.title))
+            times_ns = self._times(table)
             if times_ns is None:
                 return None
         columns = {signal.name: table.column(signal.title) for signal in self._columns.signals}
@@ -285,14 +287,21 @@ class CsvTable:
         if (time := self._columns.time) is not None:
             exact = None if self._places is None else pa.decimal128(38, self._places + spare_digits)
             types[time.title] = pa.string() if time.is_stamp else exact or pa.float64()
+            if time.date_title is not None:
+                types[time.date_title] = pa.string()
         return types
 
-    def _times(self, column: pa.ChunkedArray) -> IntArray | None:
+    def _times(self, table: pa.Table) -> IntArray | None:
         time = self._columns.time
         assert time is not None
-        array = column.combine_chunks()
+        array = table.column(time.title).combine_chunks()
         if array.null_count:
             return None
+        if time.date_title is not None:
+            dates = table.column(time.date_title).combine_chunks()
+            if dates.null_count:
+                return None
+            array = joined_cells(dates, array)
         if time.is_stamp:
             first = match_stamp(array[0].as_py() or "") if len(array) else None
             if first is not None and self._lines.has_zone not in (None, first["zone"] is not None):

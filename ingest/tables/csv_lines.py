@@ -6,13 +6,14 @@ Reading them one by one is slow, and exact about which cell of which line is wro
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 
-from ingest.tables.columns import Columns
+from ingest.tables.columns import Columns, TimeColumn
+from ingest.tables.dated_clocks import is_clock, is_date, joined
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
 from ingest.tables.units import is_same_unit, is_unit
@@ -59,11 +60,16 @@ class Dialect:
         first = next(self._sample_cells(), ())
         return frozenset(title for title, cell in zip(self.titles, first, strict=False) if match_stamp(cell))
 
-    def has_zone(self, title: str) -> bool | None:
+    @property
+    def first_cells(self) -> dict[str, str]:
+        """Cells of the first row by title."""
+        return dict(zip(self.titles, next(self._sample_cells(), ()), strict=False))
+
+    def has_zone(self, time: TimeColumn) -> bool | None:
         """Whether the first time stamp of the column names a zone; None if there is none."""
-        column = self.titles.index(title)
-        cells = (cells[column] for cells in self._sample_cells() if len(cells) > column)
-        first = next((found for each in cells if (found := match_stamp(each)) is not None), None)
+        rows = (dict(zip(self.titles, cells, strict=False)) for cells in self._sample_cells())
+        stamps = (_stamp_text(time, row) for row in rows)
+        first = next((found for each in stamps if (found := match_stamp(each)) is not None), None)
         return None if first is None else first["zone"] is not None
 
     def decimal_mark(self, titles: Sequence[str]) -> str:
@@ -264,8 +270,13 @@ def without_blanks(block: bytes) -> bytes:
 
 def _is_row(line: str) -> bool:
     cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
-    cells = [part for cell in cells for part in ([cell] if match_stamp(cell) else re.split("[, ]+", cell))]
-    return bool(cells) and all(match_stamp(cell) or NUMBER.fullmatch(cell) for cell in cells)
+    cells = [
+        part for cell in cells for part in ([cell] if match_stamp(cell) or is_clock(cell) else re.split("[, ]+", cell))
+    ]
+    has_date = any(map(is_date, cells))  # without one a time of day stands in the lines before a header
+    return bool(cells) and all(
+        match_stamp(cell) or NUMBER.fullmatch(cell) or (has_date and is_clock(cell)) for cell in cells
+    )
 
 
 def _decimals(cell: str) -> int | None:
@@ -293,6 +304,7 @@ class LineReader:
         self.has_zone: bool | None = None  # whether the time stamps name one; of the first row
         self._signals = {column.title: column.name for column in columns.signals}
         self._texts = frozenset(columns.text_titles)
+        self._time_title = None if columns.time is None else columns.time.title
 
     def read(self, block: bytes, first_line: int, done: float) -> CellBlock:
         """Read the lines of `block`, which ends with a line feed; blank ones are left out."""
@@ -316,9 +328,9 @@ class LineReader:
                 try:
                     if title in words:
                         words[title][row] = cell
-                    elif title not in values:
-                        times_ns[row] = self._time_ns(title, cell.strip(_BLANK))
-                    elif cell.strip(_BLANK):
+                    elif title == self._time_title:
+                        times_ns[row] = self._time_ns(title, cell.strip(_BLANK), cells)
+                    elif title in values and cell.strip(_BLANK):
                         values[title][row] = self._finite(title, cell.strip(_BLANK))
                 except _BadCell as bad:
                     sieve.refuse_one(row, bad.in_line(number))
@@ -345,10 +357,11 @@ class LineReader:
             raise _BadCell("", f"{len(cells)} {noun}", f"{len(self._titles)} as in the header{hint}")
         return cells
 
-    def _time_ns(self, title: str, text: str) -> int:
+    def _time_ns(self, title: str, text: str, cells: Mapping[str, str]) -> int:
         time = self._columns.time
         assert time is not None
         if time.is_stamp:
+            text = _stamp_text(time, cells)
             stamp = match_stamp(text)
             if stamp is not None and self.has_zone not in (None, stamp["zone"] is not None):
                 which = "with a zone" if self.has_zone else "without a zone"
@@ -379,6 +392,12 @@ class LineReader:
         if not math.isfinite(value):
             raise _BadCell(title, text, "a number below 1.8e308")
         return value
+
+
+def _stamp_text(time: TimeColumn, row: Mapping[str, str]) -> str:
+    """The time stamp in a row, of one column or two."""
+    text = row.get(time.title, "").strip(_BLANK)
+    return text if time.date_title is None else joined(row.get(time.date_title, "").strip(_BLANK), text)
 
 
 def split_line(line: str, delimiter: str) -> list[str]:

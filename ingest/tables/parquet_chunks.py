@@ -38,6 +38,7 @@ class ParquetTable:
             raise self._damaged(error) from error
         if self._rows == 0:
             raise BadInput(f"{path}: no rows; nothing to import")
+        self.first_cells: dict[str, str] = {}  # text is no time in these files
         self._time_zone = "UTC"
         self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self.titles), 1)))
         whole = (title for title, kind in self._types.items() if pa.types.is_integer(kind) or pa.types.is_boolean(kind))

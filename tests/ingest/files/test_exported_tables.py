@@ -1,14 +1,18 @@
 """Tables as other programs export them: year-first dates, lines before the header, units below the titles."""
 
 import datetime as dt
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
 from storage.sql.catalog import Catalog
 from storage.store import Store
+from stream.errors import BadInput
 
 ZONE = dt.timezone(dt.timedelta(hours=8))
 FIRST = dt.datetime(2026, 11, 8, 9, 5, 3, tzinfo=ZONE)
@@ -146,3 +150,54 @@ def test_german_titles_are_read_or_the_message_says_how(run_command: Callable[..
     renames = ("--rename", "Drehrate=rate", "--rename", "Temperatur=temperature")
     (file,) = imported("Zeit", *renames, "--run", "r2").json["files"]
     assert [(each["signal"], each["in_file"]) for each in file["signals"]] == [("rate", 40), ("temperature", 40)]
+
+
+@pytest.mark.parametrize(
+    ("titles", "date", "mark"),
+    [("Date,Time", "%Y-%m-%d", ","), ("Datum;Uhrzeit", "%Y-%m-%d", ";"), ("日期\t时间", "%Y/%m/%d", "\t")],
+)
+@pytest.mark.in_gate("Datum;Uhrzeit-%Y-%m-%d-;")
+def test_a_date_and_a_time_of_day_in_two_columns_are_the_time(
+    run_command: Callable[..., Any], tmp_path: Path, titles: str, date: str, mark: str
+) -> None:
+    times = [dt.datetime(2026, 11, 20, 23, 59, 50) + dt.timedelta(milliseconds=100 * i) for i in range(200)]
+    rows = [[f"{at:{date}}", f"{at:%H:%M:%S.%f}"[:-3], f"{i % 7 / 8}"] for i, at in enumerate(times)]
+    if mark == ";":
+        rows = [[cell.replace(".", ",") for cell in row] for row in rows]
+    text = "\n".join(mark.join(each) for each in [[titles, "rate[deg/s]"], *rows])
+    (tmp_path / "log.csv").write_text(f"{text}\n", encoding="utf-8")
+    words = ("import", "log.csv", "--unit", "U", "--store", "s", "--json", "--time-zone", "Asia/Shanghai")
+    (file,) = run_command(*words, cwd=tmp_path).json["files"]
+    (signal,) = file["signals"]
+    assert (signal["in_file"], signal["sample_interval_s"], signal["irregular"]) == (200, 0.1, False)
+    assert "together" in file["remarks"][0]
+    first, last = (dt.datetime(2026, 11, day, tzinfo=ZONE).timestamp() for day in (20, 21))
+    expected = [(round((first + 86_390) * 1e9), round((last + 9.9) * 1e9))]
+    assert answer(tmp_path / "s", "select min(t_ns), max(t_ns) from samples") == expected
+    (tmp_path / "log.csv").write_text(text.replace(rows[50][1], "?"), encoding="utf-8")  # read line by line then
+    done = run_command(*words, "--skip-bad", cwd=tmp_path).json["files"][0]
+    assert (done["bad_row_count"], done["signals"][0]["in_file"]) == (1, 199)
+
+
+@pytest.mark.parametrize(
+    ("titles", "cells", "why"),
+    [
+        ("Date;Time", "05/11/2026;08:00:00", "'Date' holds '05/11/2026', with day or month first"),
+        ("Time", "20.11.2026 08:00:00", "'Time' holds '20.11.2026 08:00:00', with day or month first"),
+        ("Time", "23:59:59.5", "'Time' holds '23:59:59.5', a time of day without a date: write the date before it"),
+        ("Date;Time", "2026-11-20;8:00:00 PM", "'Time' holds '8:00:00 PM', a time of day in twelve hours"),
+    ],
+)
+def test_what_a_time_stamp_lacks_is_named(tmp_path: Path, titles: str, cells: str, why: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{titles};rate[deg/s]\n{cells};1\n")
+    with pytest.raises(BadInput, match=re.escape(why)) as refused:
+        TableFile(path, TableOptions(unit="U"))
+    assert str(refused.value).count(" holds ") == 1
+
+
+def test_a_column_that_is_left_out_is_no_time_beside_a_bad_row(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time[s],note,rate[deg/s]\n0,a,1\n0.1,b,x\n0.2,c,2\n")
+    summary = TableFile(path, TableOptions(unit="U", renames=(("note", ""),), skip_bad=True)).check()
+    assert [(each.number, each.column) for each in summary.bad] == [(3, "rate[deg/s]")]
