@@ -59,7 +59,9 @@ class RowFilter:
             is_stamps=columns.time is not None and columns.time.is_stamp,
             is_durations=columns.time is not None and columns.time.is_duration,
         )
-        self.rows = self.bad_rows = self.repeated_times = 0  # rows with the time of the row before
+        self.rows = self.bad_rows = self.late_times = 0
+        self.repeated_times = 0  # of the late ones, those with the time of the row before
+        self.late_ns: tuple[int, int] | None = None  # the first and last of them
         self.bad: list[BadRow] = []  # the first of them
 
     def good(self, block: CellBlock) -> list[GoodRows]:
@@ -164,6 +166,9 @@ class RowFilter:
         if not late.any():
             return rows
         self.repeated_times += int(np.count_nonzero(times == latest[:-1]))
+        self.late_times += int(np.count_nonzero(late))
+        ends = int(times[late].min()), int(times[late].max())
+        self.late_ns = ends if self.late_ns is None else (min(ends[0], self.late_ns[0]), max(ends[1], self.late_ns[1]))
         before = dict(zip(rows[late].tolist(), latest[:-1][late].tolist(), strict=True))
 
         def why(row: int) -> BadRow:

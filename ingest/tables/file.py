@@ -25,6 +25,7 @@ from ingest.tables.time_remarks import (
     even_losses_remarks,
     future_remark,
     rate_change_remarks,
+    repeated_hour_advice,
     repeated_hour_remark,
     repeated_times_advice,
     unset_clock_remark,
@@ -108,8 +109,10 @@ class TableFile:
                     steps += 1
                     procedures.add(started.words.procedure)
         if rows.bad_rows and not self._options.skip_bad:
-            repeated = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
-            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows, repeated)
+            advice = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
+            if (zone := self._reader.local_zone) is not None:
+                advice = advice or repeated_hour_advice(rows.late_ns, rows.late_times, zone)
+            raise BadRows(self._path, tuple(rows.bad), rows.bad_rows, advice)
         found = grids.finish()
         if not found:
             raise BadInput(f"{self._path}: {rows.rows} rows, {rows.bad_rows} of them bad, and not one sample")

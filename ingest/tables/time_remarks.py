@@ -60,6 +60,41 @@ def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
     >>> repeated_hour_remark(at, at + 10**9, "UTC") is None, repeated_hour_remark(at, at + 10**9, "Europe/Berlin")[:66]
     (True, 'warning: the clocks of Europe/Berlin were set back at 2026-10-25 0')
     """
+    for begin_ns, change_ns, local in _repeated_hours(first_ns, last_ns, zone):
+        if first_ns < change_ns and last_ns >= begin_ns:
+            return (
+                f"warning: the clocks of {zone} were set back at {local}, and time stamps of the hour before name no "
+                "zone: they are taken as of the first pass; write them with their offset, as +02:00"
+            )
+    return None
+
+
+def repeated_hour_advice(late_ns: tuple[int, int] | None, late: int, zone: str) -> str:
+    """What to do about rows that go back in time, of which the first and last are given, at the end of summer time.
+
+    Empty where one of them lies in no hour that the clocks of the zone repeat.
+
+    >>> at = int(datetime(2026, 10, 25, 0, 30, tzinfo=UTC).timestamp()) * 10**9
+    >>> repeated_hour_advice((at, at + 10**9), 2, "Europe/Berlin")[:83]
+    '2 rows go back in time where the clocks of Europe/Berlin were set back at 2026-10-2'
+    >>> repeated_hour_advice((at, at + 3600 * 10**9), 2, "Europe/Berlin"), repeated_hour_advice(None, 0, "UTC")
+    ('', '')
+    """
+    if late_ns is None:
+        return ""
+    for begin_ns, change_ns, local in _repeated_hours(*late_ns, zone):
+        if begin_ns <= late_ns[0] and late_ns[1] < change_ns:
+            which = "1 row goes" if late == 1 else f"{late} rows go"
+            return (
+                f"{which} back in time where the clocks of {zone} were set back at {local}: the hour before came "
+                "twice, and time stamps without a zone do not say which pass they are of; write them in UTC, or with "
+                "their offset, as +02:00, or leave the second pass out with --skip-bad"
+            )
+    return ""
+
+
+def _repeated_hours(first_ns: int, last_ns: int, zone: str) -> Iterator[tuple[int, int, str]]:
+    """Hours that clocks show twice: begin and end of the first pass, nanoseconds UTC, and the end in local time."""
     from zoneinfo import ZoneInfo
 
     place, first = ZoneInfo(zone), datetime.fromtimestamp(first_ns // 10**9, UTC)
@@ -74,13 +109,7 @@ def repeated_hour_remark(first_ns: int, last_ns: int, zone: str) -> str | None:
             second=0, microsecond=0
         )
         change_ns, back_ns = int(change.timestamp()) * 10**9, int(back.total_seconds()) * 10**9
-        if first_ns < change_ns and last_ns >= change_ns - back_ns:
-            local = (change + _offset(begin, place)).strftime("%Y-%m-%d %H:%M")
-            return (
-                f"warning: the clocks of {zone} were set back at {local}, and time stamps of the hour before name no "
-                "zone: they are taken as of the first pass; write them with their offset, as +02:00"
-            )
-    return None
+        yield change_ns - back_ns, change_ns, (change + _offset(begin, place)).strftime("%Y-%m-%d %H:%M")
 
 
 def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, has_gaps: bool = False) -> str:

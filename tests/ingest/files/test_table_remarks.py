@@ -1,8 +1,10 @@
 """Remarks on units, times and names of a table that can be read in two ways."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +13,7 @@ import pytest
 
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
+from ingest.tables.rows import BadRows
 from ingest.tables.sample_file import TableSummary
 from ingest.tables.units import column_unit, database_unit
 from stream.errors import BadInput
@@ -51,6 +54,21 @@ def test_a_repeated_hour_is_said_where_it_is_read(tmp_path: Path) -> None:
     for zone, written in (("Asia/Shanghai", text), ("Europe/Berlin", text.replace("-25 02", "-24 02"))):
         remarks = checked(tmp_path / "b.csv", written, time_zone=zone).remarks
         assert not any("set back" in each for each in remarks)
+
+
+def test_rows_of_a_repeated_hour_are_refused_by_that_name(tmp_path: Path) -> None:
+    begin, berlin = datetime(2026, 10, 25, 0, 30, tzinfo=UTC), ZoneInfo("Europe/Berlin")
+    times = [(begin + timedelta(seconds=4 * i)).astimezone(berlin) for i in range(1350)]
+    text = "time,rate[deg/s]\n" + "".join(f"{at:%Y-%m-%d %H:%M:%S},1\n" for at in times)
+    why = (
+        "900 rows go back in time where the clocks of Europe/Berlin were set back at 2026-10-25 03:00: the hour before"
+    )
+    with pytest.raises(BadRows, match=f"900 rows do not .*; {why} came twice, .* write them in UTC"):
+        checked(tmp_path / "a.csv", text, time_zone="Europe/Berlin")
+    with pytest.raises(BadRows, match="correct the file"):
+        checked(tmp_path / "b.csv", text, time_zone="Asia/Shanghai")
+    zoned = "time,rate[deg/s]\n" + "".join(f"{at.isoformat()},1\n" for at in times)
+    assert checked(tmp_path / "c.csv", zoned).signals[0].sampling.dt_ns == 4 * 10**9
 
 
 def test_a_temperature_under_another_name_is_said(tmp_path: Path) -> None:
