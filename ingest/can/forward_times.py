@@ -7,7 +7,7 @@ import numpy as np
 from stream.batch import BoolArray, IntArray
 
 # Frames with equal or slightly decreasing time stamps follow each other; a larger step back is a clock set back.
-_JITTER_NS = 1_000_000
+JITTER_NS = 1_000_000
 
 
 @dataclass
@@ -33,7 +33,7 @@ class ForwardTimes:
             return t_ns, np.zeros(0, np.bool_)
         last_ns = int(t_ns[0]) - 1 if self.last_ns is None else self.last_ns
         before = np.maximum.accumulate(np.concatenate([[last_ns], t_ns]))[:-1]
-        keep = t_ns >= before - _JITTER_NS
+        keep = t_ns >= before - JITTER_NS
         kept = t_ns[keep]
         index = np.arange(len(kept))
         times_ns = np.maximum(np.maximum.accumulate(kept - index), last_ns + 1) + index

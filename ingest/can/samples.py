@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ingest.can.counters import FrameCounter
 from ingest.can.decode import Decoded, FrameBytes, RawArray, SignalLayout, scaled
-from ingest.can.forward_times import ForwardTimes
+from ingest.can.forward_times import JITTER_NS, ForwardTimes
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
 from ingest.can.pairs import PairFinder
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
@@ -57,6 +57,7 @@ class _RouteState:
         self.pairs = PairFinder() if finds_pairs else None
         self.counter = None if message.counter is None else FrameCounter(message.counter.modulus, message.interval_ns)
         self.anchor_ns: int | None = None
+        self.last_ns: tuple[np.int64, np.int64] | None = None  # received and sampled
 
     def count(self) -> MessageCount:
         of_counter = ("lost", "repeated", "restarts", "strays")
@@ -136,10 +137,25 @@ class _RouteState:
             keep[keep] = is_forward
             return times_ns
         times_ns = (self.anchor_ns or 0) + numbers[is_new] * message.interval_ns
+        self._see_clock(frames.t_ns[keep], times_ns)
         if len(times_ns):
             off_grid_ns = int(np.abs(frames.t_ns[keep] - times_ns).max())
             self.tally.off_grid_s = max(self.tally.off_grid_s, off_grid_ns / 1e9)
         return times_ns
+
+    def _see_clock(self, received_ns: IntArray, sampled_ns: IntArray) -> None:
+        """Count where the clock that stamps the frames was set back; samples on a grid do not show it."""
+        if not len(received_ns):
+            return
+        last = (received_ns[0], sampled_ns[0]) if self.last_ns is None else self.last_ns
+        received, sampled = (
+            np.diff(each, prepend=end) for each, end in zip((received_ns, sampled_ns), last, strict=True)
+        )
+        self.last_ns = received_ns[-1], sampled_ns[-1]
+        is_back = received < -JITTER_NS
+        if is_back.any():
+            self.tally.set_back += int(np.count_nonzero(is_back))
+            self.tally.set_back_s = max(self.tally.set_back_s, int((sampled - received)[is_back].max()) / 1e9)
 
     def _pieces(self, frames: _Frames, keep: BoolArray, times_ns: IntArray) -> list[SignalPiece]:
         has_all = bool(keep.all())

@@ -70,6 +70,8 @@ class MessageCount:
     retimed: int = 0  # a little late, put after the one before
     off_grid_s: float = 0.0  # largest distance of a reception from its place on the grid (counter with interval), s
     other_source: int = 0  # left out, of another J1939 source than the first frame's, if the mapping names none
+    set_back: int = 0  # places where the receiving clock went back, of frames on a grid
+    set_back_s: float = 0.0  # by how much at most
     pairs: Pairs | None = None  # frames that come in pairs of the same data; None if they do not
 
 
@@ -115,6 +117,13 @@ def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
             yield f"message {count.message} of unit {count.unit}: {text}"
         if count.pairs is not None:
             yield _pairs_remark(count, count.pairs)
+        if count.set_back:
+            where = "1 place" if count.set_back == 1 else f"{count.set_back} places"
+            yield (
+                f"message {count.message} of unit {count.unit}: the log's clock goes back at {where}, by up to "
+                f"{count.set_back_s:,.4g} s; the samples have the times that counter and interval_s give them from the "
+                "first frame on"
+            )
         if count.off_grid_s > _FAR_S:
             yield (
                 f"message {count.message} of unit {count.unit}: frames came up to {count.off_grid_s:,.4g} s before or "

@@ -138,15 +138,18 @@ def test_lost_repeated_and_damaged_frames_leave_gaps_in_the_grid(tmp_path: Path,
     assert 0 < count.off_grid_s < 0.0003
 
 
-@pytest.mark.parametrize("moved_s", [0, 3600])
-def test_a_clock_that_was_set_back_is_named(tmp_path: Path, moved_s: int) -> None:
+@pytest.mark.parametrize(("moved_s", "remarked"), [(0, 0), (0.5, 1), (3600, 2)])
+def test_a_clock_that_was_set_back_is_named(tmp_path: Path, moved_s: float, remarked: int) -> None:
     """Counter and interval go on; the times of reception do not."""
     plan = mapped(tmp_path, GRID)
-    frames = [imu(10**15 + i * MS - (moved_s * 10**9 if i >= 500 else 0), i) for i in range(1000)]
-    batches, decoder = decoded(plan, frames)
+    frames = [imu(10**15 + i * MS - (round(moved_s * 10**9) if i >= 500 else 0), i) for i in range(1000)]
+    batches, decoder = decoded(plan, frames, 500)  # the next block begins with it
     assert joined(batches)["FOG-1", "rate"][0] == [10**15 + i * MS for i in range(1000)]
     found = list(remarks(decoder.counts, LogFrameCounts(data=1000)))
-    assert [f"frames came up to {moved_s:,} s before or after" in each for each in found] == [True] * (moved_s > 0)
+    assert len(found) == remarked
+    if found:
+        assert f"the log's clock goes back at 1 place, by up to {moved_s:,} s; the samples have" in found[0]
+    assert [f"frames came up to {moved_s:,} s before or after" in each for each in found[1:]] == [True] * (moved_s > 1)
 
 
 def test_receive_times_settle_the_interval_and_say_when_it_is_none(tmp_path: Path) -> None:
