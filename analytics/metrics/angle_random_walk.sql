@@ -4,7 +4,7 @@
 -- unit:      deg/sqrt(h)
 -- better:    lower
 -- grain:     unit, signal, run, step, method
--- parameters: method, duration_s, record, sample_interval_s, remark
+-- parameters: method, duration_s, whole_seconds, record, sample_interval_s, remark
 -- source:    GJB 2426A-2004 5.12.5.4 (23)-(31); JJF 2014-2022 7.2.20 (34)-(39)
 -- needs:     a static step, one hour long as a rule; for the normalised method one of procedure random_walk
 -- limits:    given
@@ -22,7 +22,8 @@ select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   -- the shortest averaging times determine white noise; long steps are reduced from means of 1 s
   case when c.run is null then greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) end as freedom,
   to_json({
-    method: 'allan', duration_s: round(s.duration_s), record: case when c.run is not null then 'run' else 'step' end,
+    method: 'allan', duration_s: round(s.duration_s),
+    whole_seconds: case when s.whole_seconds < s.duration_s then s.whole_seconds end, record: case when c.run is not null then 'run' else 'step' end,
     remark: nullif(concat_ws('; ', c.misfit_remark, s.remark), '')
   })::varchar as parameters,
   case when s.lack is not null then s.lack when c.run is not null then c.reason when coalesce(s.white, 0) = 0 then

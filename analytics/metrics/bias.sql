@@ -4,7 +4,7 @@
 -- unit:      deg/h
 -- better:    neither
 -- grain:     unit, signal, run, step
--- parameters: earth_rate, scale_factor, position, repeat, duration_s, n_effective, remark
+-- parameters: earth_rate, scale_factor, position, repeat, duration_s, whole_seconds, n_effective, remark
 -- source:    GJB 2426A-2004 5.12.1 (19); JJF 2014-2022 7.2.13 (27)(28)
 -- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    t
@@ -36,7 +36,8 @@ select
   n,
   {
     earth_rate: earth_rate, scale_factor: scale_source, position: position, repeat: repeat,
-    duration_s: round(duration_s), n_effective: round(n_effective, 1), remark: remark
+    duration_s: round(duration_s), whole_seconds: case when whole_seconds < duration_s then whole_seconds end,
+    n_effective: round(n_effective, 1), remark: remark
   } as parameters,
   [run] as runs,
   ["index"] as steps,

@@ -4,7 +4,7 @@
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, step
--- parameters: scale_factor, position, repeat, duration_s, n_effective, remark
+-- parameters: scale_factor, position, repeat, duration_s, whole_seconds, n_effective, remark
 -- source:    GJB 2426A-2004 5.12.2 (20)
 -- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    chi_square
@@ -23,7 +23,7 @@ select
   n,
   {
     scale_factor: scale_source, position: position, repeat: repeat, duration_s: round(duration_s),
-    n_effective: round(n_effective, 1), remark: remark
+    whole_seconds: case when whole_seconds < duration_s then whole_seconds end, n_effective: round(n_effective, 1), remark: remark
   } as parameters,
   [run] as runs,
   ["index"] as steps,

@@ -30,7 +30,7 @@ _AVERAGES = {
 }
 COLUMNS = pa.schema({
     "run": _TEXT, "unit": _TEXT, "signal": _TEXT, "t_from_ns": _WHOLE, "t_to_ns": _WHOLE, "unit_of_measure": _TEXT,
-    "n": _WHOLE, "expected": _WHOLE,
+    "n": _WHOLE, "expected": _WHOLE, "whole_seconds": _WHOLE,
     "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
     "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, "still": _REAL,
     "outliers": _WHOLE, "outlier_excess": _REAL, "piled": _REAL, "piled_at": _REAL, **_AVERAGES, "reason": _TEXT,
@@ -216,6 +216,7 @@ def _reduced(signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) 
         # a block has the time of its beginning: that of the last whole one, whose last sample may be the window's end
         begins = window if is_raw else (window[0], window[1] + signal.dt_ns - SECOND_NS)
         row["expected"] = None if signal.irregular or not signal.dt_ns else _expected(begins, base_ns, per_block)
+        row["whole_seconds"] = None if is_raw else max(_seconds_begun(begins), 0)
         within = slice(0, 0)
         if blocks is not None:
             first = int(np.searchsorted(blocks[0], begins[0]))
@@ -239,10 +240,15 @@ def _reduced(signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) 
 def _expected(begins: tuple[int, int], base_ns: int, per_block: float) -> int:
     """Samples of blocks of `base_ns` that begin within two moments, if none is missing."""
     if base_ns == SECOND_NS and per_block > 1.0:
-        blocks = begins[1] // SECOND_NS + -begins[0] // SECOND_NS + 1
+        blocks = _seconds_begun(begins)
     else:
         blocks = (begins[1] - begins[0]) // base_ns + 1
     return max(round(blocks * per_block), 0)
+
+
+def _seconds_begun(begins: tuple[int, int]) -> int:
+    """Whole seconds that begin within two moments, both included."""
+    return begins[1] // SECOND_NS + -begins[0] // SECOND_NS + 1
 
 
 def _of_rate(start_ns: IntArray, n: IntArray, angles: FloatArray, signal: _EvaluatedSignal) -> dict[str, Any]:

@@ -24,8 +24,8 @@ GROUPS = ("station", "fixture", "lot")
 
 # Results beside the value, no settings: values that differ in these are of one kind.
 _RESULTS = {
-    "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
-    "n", "remark",
+    "duration_s", "whole_seconds", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days",
+    "power_ons", "n", "remark",
 }  # fmt: skip
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0

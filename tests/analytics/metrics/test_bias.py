@@ -1,5 +1,6 @@
 """Bias and bias stability of static records against NumPy and SciPy on the samples."""
 
+import json
 import math
 from typing import Any
 
@@ -100,3 +101,23 @@ def test_a_bias_is_of_the_standard_whose_attitude_it_has(recorded: Recorded) -> 
     rows = [{"mean": 1.0, "unit": position, "position": position} for position in ("IRA_east", "IRA_up", "Z_down", "x")]
     found = {row["unit"]: row["standard"] for row in recorded(rows, "bias")}
     assert found == {"IRA_east": "GJB2426A", "IRA_up": "JJF2014", "Z_down": "JJF2014", "x": "GJB2426A, JJF2014"}
+
+
+def test_a_long_record_that_begins_within_a_second_says_what_is_counted(recorded: Recorded) -> None:
+    rows = [
+        {
+            "unit": unit,
+            "position": "IRA_up",
+            "n": 10 * whole,
+            "expected": 10 * whole,
+            "whole_seconds": whole,
+            "duration_s": s,
+        }
+        for unit, whole, s in (("within", 7199, 7199.9), ("from", 7200, 7199.9))
+    ]
+    for metric in ("bias", "bias_stability", "angle_random_walk"):
+        found = {
+            row["unit"]: json.loads(row["parameters"])
+            for row in recorded([r | {"sd": 1.0, "mean": 1.0} for r in rows], metric)
+        }
+        assert {unit: each.get("whole_seconds") for unit, each in found.items()} == {"within": 7199, "from": None}

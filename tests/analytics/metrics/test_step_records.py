@@ -122,7 +122,7 @@ def test_a_long_step_is_that_of_the_whole_seconds_within_it(tested: Any, ends_ea
     within = (second >= first) & (second <= last + DT_NS - SECOND_NS)
     row = one(tested)
     holds(row, values[within])
-    assert row["n"] == 10 * len(np.unique(second[within]))
+    assert row["n"] == 10 * len(np.unique(second[within])) == 10 * row["whole_seconds"]
     for average_s in (1, 10, 100):
         found = (row[f"n_{average_s}s"], row[f"sd_{average_s}s"])
         of_samples = scatter_of(t_ns[within], values[within], average_s, (first, last), DT_NS)
@@ -135,6 +135,7 @@ def test_a_long_step_that_ends_with_a_second_has_it(tested: Any) -> None:
     tested.run("r1")
     tested.step("r1", "U1", values, t0_ns=START_NS)
     holds(one(tested), values)
+    assert one(tested)["whole_seconds"] == n // 10  # and as many samples: nothing is left out
 
 
 def test_a_gap_takes_its_averages_and_nothing_else(tested: Any) -> None:

@@ -76,8 +76,8 @@ from still s join spread p using (run)
 group by s.run, class having count(*) >= 2 order by s.run, temperature
 """
 _RESULTS = {
-    "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days", "power_ons",
-    "n", "remark", "misfit", "record", "temperature",
+    "duration_s", "whole_seconds", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days",
+    "power_ons", "n", "remark", "misfit", "record", "temperature",
 }  # fmt: skip
 _TEMPERATURES = ("temperature", "case_temperature", "chamber_temperature")
 
