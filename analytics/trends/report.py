@@ -211,7 +211,8 @@ def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
     series = chart.series
     return words(
         "outlier", where=f"{series.unit[point]}, {moment(series, point)}",
-        value=figures(float(chart.charted[point]), limits.sigma), unit=behind(series.unit_of_measure), z=float(chart.z[point]),
+        value=figures(float(chart.charted[point]), limits.sigma), unit=behind(series.unit_of_measure),
+        z=float(chart.z[point]),
         centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
     )  # fmt: skip
 
