@@ -56,4 +56,7 @@ def test_a_run_is_checked_without_being_begun(
     plain = gyrofleet(*(word for word in words if word != "--json"), "--check", "--store", "S")
     assert reported["warnings"][0] in plain.err
     assert " steps, 1 warning; nothing was written" in plain.out
+    room = reported["room"]
+    assert (room["samples"] > 0, room["needed_bytes"] > room["samples"], room["unknown_signals"]) == (True, True, 0)
+    assert f"for {room['samples']:,} samples; " in " ".join(plain.out.split())
     assert not (tmp_path / "S").exists()
