@@ -20,6 +20,8 @@ _CONFIDENCE = 0.95
 _STEP = 1e-3
 # of the logarithm of a variance ratio: beyond it the component is as good as none
 _LEAST, _MOST = -16.0, 12.0
+# where a component that may be none starts, likewise
+_LIFTED = -3.0
 # of the deviance: a component that lowers it by less is none
 _NONE = 1e-6
 
@@ -217,6 +219,9 @@ class MixedModel:
         free = [index for index in range(start.size) if fixed is None or index != fixed[0]]
         whole = start.copy()
         if fixed is not None:
+            if fixed[1] < start[fixed[0]]:
+                # others may take over; from none they would not come back, the likelihood hardly changes there
+                whole = np.maximum(whole, whole[0] + _LIFTED)
             whole[fixed[0]] = fixed[1]
         if not free:
             return whole, self._deviance(whole)
@@ -272,9 +277,10 @@ class MixedModel:
         def above(log: float) -> float:
             return self._least(at, (index, log))[1] - least - rise
 
-        start, (low_end, high_end) = float(at[index]), self._bounds
-        lo, hi = _crossing(above, start, -1.0, start - low_end), _crossing(above, start, 1.0, high_end - start)
+        most = max(_MOST, self._bounds[1] - float(at[index]))  # also from a component that is none
         is_none = index > 0 and at[index] <= self._bounds[0]
+        lo = None if is_none else _crossing(above, float(at[index]), -1.0, _LEAST)
+        hi = _crossing(above, float(at[index]), 1.0, most)
         low, high = 0.0 if lo is None else np.exp(lo / 2), np.inf if hi is None else np.exp(hi / 2)
         return ComponentDeviation(0.0 if is_none else float(np.exp(at[index] / 2)), float(low), float(high))
 
@@ -297,7 +303,7 @@ def _rise(freedom: int) -> float:
 def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:
     """Where a function that is negative at `start` becomes positive in steps of that sign; None if it does not."""
     inside = start
-    while abs(inside - start) < most:
+    while abs(inside - start) < abs(most):
         outside = inside + step
         if above(outside) > 0:
             return float(brentq(above, min(inside, outside), max(inside, outside), xtol=3e-3))

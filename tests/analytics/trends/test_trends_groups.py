@@ -148,6 +148,9 @@ def test_lot_and_station_that_go_together_cannot_be_told_apart() -> None:
         "station": ("lot",),
         "lot": ("station",),
     }
+    parts = components(series_of(value, np.arange(80), station=station, lot=station), GROUPS)
+    assert parts["station"].lo == parts["lot"].lo == 0.0
+    assert min(parts["station"].hi, parts["lot"].hi) > 0.2
     # some units of both lots on both stations: now it is known which it is
     unit = np.r_[np.arange(80), np.arange(20)]
     both = np.r_[station, 1 - station[:20]]
@@ -269,6 +272,7 @@ def test_groups_that_differ_at_once_are_in_no_scatter_of_measurements(offset: fl
     assert set(found) == {"residual", "unit", "station", "fixture"}
     assert found["residual"].lo < 0.045 < found["residual"].hi
     assert found["unit"].lo < 0.1 < found["unit"].hi
+    assert plain["station"].hi < 1.0 > plain["fixture"].hi  # also where there is none
     for part in ("residual", "unit"):
         assert found[part].value == pytest.approx(plain[part].value, rel=0.05)
 
