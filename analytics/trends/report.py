@@ -1,7 +1,7 @@
 """A trend in sentences: changes, outliers, drift, signals, differences between groups, components, capability."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
@@ -12,7 +12,7 @@ from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS
-from analytics.trends.series import NS_PER_DAY, MetricSeries
+from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import (
     NOTHING,
@@ -331,12 +331,16 @@ def _of_components(trend: Trend) -> Iterator[Words]:
     for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
         # the upper bound of few levels may be far away: two digits of each suffice
         value, lo, hi = (f"{each:.2g}" for each in found[name])
-        whose, unit = (
-            words(names.get(name, "between_levels"), group=group_name(name)),
-            behind(trend.series.unit_of_measure),
-        )
+        whose = words(names.get(name, "between_levels"), group=group_name(name))
+        unit = behind(trend.series.unit_of_measure)
         parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
-    yield words("components", parts=joined(parts), without=_without(trend))
+    unknown = [name for name in GROUPS if name not in found and len(set(trend.found.rest.groups[name])) > 1]
+    lacking = words("components_lacking", names=joined(_between(unknown), ", ", "、")) if unknown else NOTHING
+    yield words("components", parts=joined(parts), without=_without(trend), lacking=lacking)
+
+
+def _between(groups: Iterable[str]) -> Iterator[Words]:
+    return (words("between_levels", group=group_name(name)) for name in groups)
 
 
 def _without(trend: Trend) -> Words:
@@ -392,9 +396,13 @@ def _left_out(trend: Trend) -> Iterator[Words]:
     if trend.found.wild:
         wild = [f"{series.unit[at]}, {moment(series, at)}" for at in trend.found.wild]
         yield words("wild_left_out", values=listed(wild) if len(wild) == 1 else listed([f"({each})" for each in wild]))
+    several = [name for name in GROUPS if len(set(series.groups[name])) > 1]
     if not isinstance(trend.comparison, NotComputed):
         for each in trend.comparison.left_out:
             yield words("not_compared", each=each)
+    elif several:
+        names = joined(map(group_name, several), ", ", "、")
+        yield words("not_compared", each=words("groups_not_compared", names=names, why=trend.comparison.why))
     if trend.scatters.left_out:
         yield words("not_compared", each=joined(trend.scatters.left_out))
     if series.without_value:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.specifications.verdicts import UNGIVEN
-from analytics.trends.groups.contrasts import ContrastEstimate, holm, paired_difference
+from analytics.trends.groups.contrasts import ContrastEstimate, do_not_scatter, holm, paired_difference
 from analytics.trends.groups.mixed_model import MixedModel
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, group_name, listed, not_computed, words
@@ -76,6 +76,9 @@ def compare_groups(
     """
     if series.value.size < LEAST_VALUES:
         return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
+    every = np.column_stack([product_columns(series), *(_columns(series, name) for name in groups)])
+    if do_not_scatter(series.value, every, codes(series.unit)[1]):
+        return not_computed("groups_exact")
     found, left_out = _groups(series, groups)
     differences = []
     for group in found:
@@ -123,7 +126,10 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
         levels, code = codes(series.groups[name])
         if len(levels) < 2:
             continue
-        weights = _weights(series, name) if len(levels) <= _MOST_LEVELS else np.zeros((len(levels), len(levels)))
+        if len(levels) > _MOST_LEVELS:
+            left_out.append(words("group_many", group=group_name(name), levels=len(levels), most=_MOST_LEVELS))
+            continue
+        weights = _weights(series, name)
         compared = np.flatnonzero(weights.any(axis=1))
         if not compared.size:
             few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())

@@ -3,6 +3,7 @@
 import numpy as np
 
 from analytics.trends.groups.between_stations import LEAST_VALUES, codes, independent, product_columns
+from analytics.trends.groups.contrasts import do_not_scatter
 from analytics.trends.groups.mixed_model import ComponentDeviation, MixedModel
 from analytics.trends.series import MetricSeries
 
@@ -15,11 +16,12 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
     One model of all: value = product + unit + a random effect for each group with two levels or more + residual. So no
     part has what another one does. `unit`: between units; `residual`: between measurements of a unit, the groups
     removed; and each group: between its levels. Where no unit was measured twice `residual` is that and `unit` in one.
-    Parts that the values do not separate, as of a lot and a station that always go together, have bounds down to 0.
-    Empty where there are too few values or units.
+    Parts that the values do not separate, as of a lot and a station that always go together, have bounds down to 0;
+    those without an upper bound, as of stations each with a product of its own, are left out. Empty where there are too
+    few values or units, or where nothing scatters.
     """
     unit = codes(series.unit)[1]
-    if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:
+    if series.value.size < LEAST_VALUES or unit.max() < 1:
         return {}
     fixed = np.column_stack([np.ones(series.value.size), product_columns(series)])
     random = {}
@@ -27,4 +29,7 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
         levels, code = codes(series.groups[name])
         if 1 < len(levels) <= _MOST_LEVELS:
             random[name] = np.eye(len(levels))[code]
-    return MixedModel(series.value, fixed[:, independent(fixed)], unit, random).deviations()
+    if do_not_scatter(series.value, np.column_stack([fixed, *random.values()]), unit):
+        return {}
+    found = MixedModel(series.value, fixed[:, independent(fixed)], unit, random).deviations()
+    return {name: each for name, each in found.items() if np.isfinite(each.hi)}

@@ -9,6 +9,7 @@ from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
 _DEPENDENT = 1e-9
+_EXACT = 1e-12  # of the values: what is left is that of their rounding
 
 
 class ContrastEstimate(NamedTuple):
@@ -38,6 +39,19 @@ def less_block_means(values: FloatArray, block: IntArray) -> FloatArray:
     flat = values.reshape(len(values), -1)
     means = np.array([np.bincount(block, column) / counts for column in flat.T]).reshape(flat.shape[1], counts.size)
     return np.asarray((flat - means.T[block]).reshape(values.shape), np.float64)
+
+
+def do_not_scatter(y: FloatArray, columns: FloatArray, unit: IntArray) -> bool:
+    """Whether columns, and the levels of units where any was measured twice, explain the values exactly.
+
+    >>> unit = np.array([0, 0, 1, 1])
+    >>> do_not_scatter(np.array([1.0, 1.5, 3.0, 3.5]), np.array([[0.0], [1.0], [0.0], [1.0]]), unit)
+    True
+    """
+    block = unit if np.bincount(unit).max() > 1 else np.zeros_like(unit)
+    inside, beside = less_block_means(y, block), less_block_means(columns, block)
+    rest = inside - beside @ np.linalg.lstsq(beside, inside, rcond=_DEPENDENT)[0]
+    return bool(np.abs(rest).max() <= _EXACT * np.abs(y).max())
 
 
 def ols_estimates(

@@ -1,5 +1,6 @@
 """Trends of several products: their limits, charts and capabilities, and the groups that are compared within them."""
 
+import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -199,3 +200,36 @@ def test_levels_of_different_products_are_not_compared() -> None:
     assert not isinstance(apart, NotComputed)
     assert apart.differences == ()
     assert "lot" in apart.left_out[0].en
+
+
+def test_values_that_do_not_scatter_are_not_compared_and_the_report_gives_the_reason() -> None:
+    """As of a coarse resolution: nothing says how sure a difference is, and nobody takes it for none."""
+    unit = np.repeat(np.arange(12), 4)
+    station = np.arange(48) % 2
+    for value in (np.full(48, 3.3), np.round(np.arange(12) * 0.1, 1)[unit] + 0.5 * station):
+        trend = trend_of(series_of(value, unit, station=station), by="station")
+        assert isinstance(trend.comparison, NotComputed)
+        assert trend.components == {}
+        (reason,) = [each for each in sentences(trend) if "Not compared: station: " in each.en]
+        assert "measurements of one unit do not scatter" in reason.en
+        assert "各次测量无分散" in reason.zh
+
+
+def test_groups_that_products_determine_have_no_component_and_are_named() -> None:
+    unit = np.repeat(np.arange(24), 3)
+    rng = np.random.default_rng(8)
+    series = series_of(rng.normal(0, 1, 24)[unit] + rng.normal(0, 0.1, 72), unit, station=unit % 2)
+    series = replace(series, groups=series.groups | {"product": [f"P{each % 2}" for each in unit]})
+    trend = trend_of(series)
+    assert set(trend.components) == {"unit", "residual"}
+    text = "\n".join(each.en for each in sentences(trend))
+    assert "from station to station: not separable from products or other groups" in text
+    json.dumps(document(trend), allow_nan=False)
+
+
+def test_more_levels_than_are_compared_are_named_by_their_number() -> None:
+    unit = np.repeat(np.arange(250), 2)
+    value = np.random.default_rng(3).standard_normal(500)
+    found = compare_groups(series_of(value, unit, lot=unit))
+    assert isinstance(found, GroupComparison)
+    assert [each.en for each in found.left_out] == ["lot: 250 levels, at most 200 are compared"]
