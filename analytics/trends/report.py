@@ -401,8 +401,8 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         for each in trend.comparison.left_out:
             yield words("not_compared", each=each)
     elif several:
-        names = joined(map(group_name, several), ", ", "、")
-        yield words("not_compared", each=words("groups_not_compared", names=names, why=trend.comparison.why))
+        which = joined(map(group_name, several), ", ", "、")
+        yield words("not_compared", each=words("groups_not_compared", names=which, why=trend.comparison.why))
     if trend.scatters.left_out:
         yield words("not_compared", each=joined(trend.scatters.left_out))
     if series.without_value:

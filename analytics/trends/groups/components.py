@@ -8,6 +8,8 @@ from analytics.trends.groups.mixed_model import ComponentDeviation, MixedModel
 from analytics.trends.series import MetricSeries
 
 _MOST_LEVELS = 60
+_MOST_FIXED_LEVELS = 200
+_LEAST_FREEDOM = 3
 
 
 def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, ComponentDeviation]:
@@ -15,7 +17,7 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
 
     One model of all: value = product + unit + a random effect for each group with two levels or more + residual. So no
     part has what another one does. `unit`: between units; `residual`: between measurements of a unit, the groups
-    removed; and each group: between its levels. Where no unit was measured twice `residual` is that and `unit` in one.
+    removed; and each group: between its levels. A group of 61 to 200 levels is removed as well, and has no part. Where no unit was measured twice `residual` is that and `unit` in one.
     Parts that the values do not separate, as of a lot and a station that always go together, have bounds down to 0;
     those without an upper bound, as of stations each with a product of its own, are left out. Empty where there are too
     few values or units, or where nothing scatters.
@@ -23,13 +25,19 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
     unit = codes(series.unit)[1]
     if series.value.size < LEAST_VALUES or unit.max() < 1:
         return {}
-    fixed = np.column_stack([np.ones(series.value.size), product_columns(series)])
+    columns = [np.ones((series.value.size, 1)), product_columns(series)]
     random = {}
     for name in groups:
         levels, code = codes(series.groups[name])
+        indicators = np.eye(len(levels))[code]
         if 1 < len(levels) <= _MOST_LEVELS:
-            random[name] = np.eye(len(levels))[code]
-    if do_not_scatter(series.value, np.column_stack([fixed, *random.values()]), unit):
+            random[name] = indicators
+        elif _MOST_LEVELS < len(levels) <= _MOST_FIXED_LEVELS:
+            columns.append(indicators)
+    fixed = np.column_stack(columns)
+    fixed = fixed[:, independent(fixed)]
+    is_short = series.value.size - fixed.shape[1] < _LEAST_FREEDOM
+    if is_short or do_not_scatter(series.value, np.column_stack([fixed, *random.values()]), unit):
         return {}
-    found = MixedModel(series.value, fixed[:, independent(fixed)], unit, random).deviations()
+    found = MixedModel(series.value, fixed, unit, random).deviations()
     return {name: each for name, each in found.items() if np.isfinite(each.hi)}

@@ -15,6 +15,7 @@ from analytics.specifications.verdicts import UNGIVEN
 from analytics.trends.charts.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
 from analytics.trends.groups.between_stations import GroupComparison, compare_groups
+from analytics.trends.groups.components import components
 from analytics.trends.report import sentences
 from analytics.trends.series import Choice, MetricSeries, read_series
 from analytics.trends.trend import trend_of
@@ -233,3 +234,13 @@ def test_more_levels_than_are_compared_are_named_by_their_number() -> None:
     found = compare_groups(series_of(value, unit, lot=unit))
     assert isinstance(found, GroupComparison)
     assert [each.en for each in found.left_out] == ["lot: 250 levels, at most 200 are compared"]
+
+
+def test_a_group_of_many_levels_is_in_no_other_component() -> None:
+    """61 fixtures that differ by ten times the scatter of measurements, crossed with the units."""
+    rng = np.random.default_rng(5)
+    unit, fixture = np.repeat(np.arange(60), 6), rng.integers(0, 61, 360)
+    value = rng.normal(0, 1, 60)[unit] + rng.normal(0, 0.2, 61)[fixture] + rng.normal(0, 0.02, 360)
+    found = components(series_of(value, unit, fixture=fixture), ("station", "fixture", "lot"))
+    assert set(found) == {"unit", "residual"}
+    assert found["residual"].lo < 0.02 < found["residual"].hi < 0.03
