@@ -17,10 +17,10 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
 
     One model of all: value = product + unit + a random effect for each group with two levels or more + residual. So no
     part has what another one does. `unit`: between units; `residual`: between measurements of a unit, the groups
-    removed; and each group: between its levels. A group of 61 to 200 levels is removed as well, and has no part. Where no unit was measured twice `residual` is that and `unit` in one.
-    Parts that the values do not separate, as of a lot and a station that always go together, have bounds down to 0;
-    those without an upper bound, as of stations each with a product of its own, are left out. Empty where there are too
-    few values or units, or where nothing scatters.
+    removed; and each group: between its levels. A group of 61 to 200 levels is removed as well, and has no part. Where
+    no unit was measured twice `residual` is that and `unit` in one. Parts that the values do not separate, as of a lot
+    and a station that always go together, have bounds down to 0; those without an upper bound, as of stations each with
+    a product of its own, are left out. Empty where there are too few values or units, or where nothing scatters.
     """
     unit = codes(series.unit)[1]
     if series.value.size < LEAST_VALUES or unit.max() < 1:
