@@ -16,6 +16,7 @@ from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.series import NS_PER_DAY, MetricSeries
 from analytics.trends.trend import Chart, Trend
+from analytics.trends.words import behind
 
 _MOST_CHARTS = 8
 _CENTRE, _ALARM, _LEVEL, _SPECIFIED = "#2f6f4f", "#a40000", "#c46a00", "#6a3d9a"
@@ -56,7 +57,8 @@ def _write_title(figure: Figure, trend: Trend, more: int) -> None:
     series, header = trend.series, trend.series.header
     name = series.metric if header is None else in_both(header.en, header.zh, "  ·  ")
     height = figure.get_figheight()
-    figure.text(0.1, 1 - 0.3 / height, f"{name}, {series.unit_of_measure}", fontsize=13, fontweight="bold", color=INK)
+    unit = behind(series.unit_of_measure)
+    figure.text(0.1, 1 - 0.3 / height, f"{name},{unit}" if unit else name, fontsize=13, fontweight="bold", color=INK)
     subtitle = f"{series.variant}; {series.value.size} values of {len(set(series.serial))} units"
     if more > 0:
         subtitle += f"; {more} charts are not drawn"

@@ -188,7 +188,9 @@ def _parts(
             continue
         is_adjusted = by in {"station", "fixture"}
         shown = at if is_adjusted else at[part.first_places()]
-        own = tuple(each for each in shifts.shifts if _crosses(each, shown, series))
+        # the points of a station have the certain ones alone
+        known = [each for each in shifts.shifts if each.is_certain or not is_adjusted]
+        own = tuple(each for each in known if _crosses(each, shown, series))
         sessions = {(series.groups["station"][each], series.run[each]) for each in shown.tolist()}
         is_unsteady = shifts.unsteady is not None and len(sessions) > 1
         if is_adjusted:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
+from ingest.tables.grid import Sampling
 from ingest.tables.sample_file import SignalSummary
 from ingest.tables.times import stamp_text
 from stream.defects.rate_changes import RateChange, remark_on_rate_changes
@@ -130,22 +131,39 @@ def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, h
 
 
 def even_losses_remarks(signals: Sequence[SignalSummary], title: str = "") -> Iterator[str]:
-    """Warnings on samples that are missing so evenly that their times may be rounded instead; with a table's column."""
-    for (dt_ns, even_ns), number in Counter(
-        (each.sampling.dt_ns, each.sampling.even_dt_ns) for each in signals
-    ).items():
-        if not even_ns:
-            continue
+    """Warnings on samples that are missing so evenly that their times may be rounded instead; with a table's column.
+
+    Where another signal of the unit has samples at the times between, they are missing.
+    """
+    most: dict[tuple[str, str, int], int] = {}
+    for each in signals:
+        key = each.unit, each.run, each.sampling.dt_ns
+        most[key] = max(most.get(key, 0), each.sampling.samples)
+    alike = Counter(
+        (each.sampling.dt_ns, each.sampling.even_dt_ns, _has_long_gaps(each.sampling))
+        for each in signals
+        if each.sampling.even_dt_ns and each.sampling.samples == most[each.unit, each.run, each.sampling.dt_ns]
+    )
+    for (dt_ns, even_ns, has_gaps), number in alike.items():
         which = "1 signal" if number == 1 else f"{number} signals"
         every, step = round(even_ns / (even_ns - dt_ns)), f"{dt_ns / 1e9:.6g} s"
         rounded, advice = "the log rounds its times", ""
         if title:
-            rounded, advice = f"column {title!r} is rounded", f"; {_evenly(title, f'{1e9 / even_ns:.6g}')}"
+            rounded = f"column {title!r} is rounded"
+            advice = "; if so, write them with more digits"
+            if not has_gaps:  # even times would close them
+                advice = f"; {_evenly(title, f'{1e9 / even_ns:.6g}')}"
         yield (
             f"warning: of {which} about one sample in {every} is missing, evenly, by times in whole steps of {step}; "
             f"samples every {even_ns / 1e9:.6g} s of which none is missing have the same times where {rounded} to "
             f"{step}: the times do not show which is true, and the samples are taken as missing{advice}"
         )
+
+
+def _has_long_gaps(sampling: Sampling) -> bool:
+    """Whether more than one sample is missing in any gap."""
+    span_ns = sampling.t_last_ns - sampling.t_first_ns
+    return round(span_ns / sampling.dt_ns) + 1 - sampling.samples > sampling.gaps
 
 
 def rate_change_remarks(signals: Sequence[SignalSummary]) -> Iterator[str]:

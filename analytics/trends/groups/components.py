@@ -20,7 +20,8 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
     removed; and each group: between its levels. A group of 61 to 200 levels is removed as well, and has no part. Where
     no unit was measured twice `residual` is that and `unit` in one. Parts that the values do not separate, as of a lot
     and a station that always go together, have bounds down to 0; those without an upper bound, as of stations each with
-    a product of its own, are left out. Empty where there are too few values or units, or where nothing scatters.
+    a product of its own, are left out. Empty where there are too few values or units, or where measurements scatter by
+    less than a thousandth of what groups do to them, which cannot be computed beside it.
     """
     unit = codes(series.unit)[1]
     if series.value.size < LEAST_VALUES or unit.max() < 1:
@@ -37,7 +38,7 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
     fixed = np.column_stack(columns)
     fixed = fixed[:, independent(fixed)]
     is_short = series.value.size - fixed.shape[1] < _LEAST_FREEDOM
-    if is_short or do_not_scatter(series.value, np.column_stack([fixed, *random.values()]), unit):
+    if is_short or do_not_scatter(series.value, np.column_stack([fixed, *random.values()]), unit, nearly=True):
         return {}
     found = MixedModel(series.value, fixed, unit, random).deviations()
     return {name: each for name, each in found.items() if np.isfinite(each.hi)}

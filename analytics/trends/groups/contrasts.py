@@ -9,7 +9,8 @@ from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
 _DEPENDENT = 1e-9
-_EXACT = 1e-12  # of the values: what is left is that of their rounding
+# of the values: what is left is their rounding; and of what is explained: less cannot be computed beside it
+_EXACT, _NEARLY_EXACT = 1e-12, 1e-3
 
 
 class ContrastEstimate(NamedTuple):
@@ -41,8 +42,8 @@ def less_block_means(values: FloatArray, block: IntArray) -> FloatArray:
     return np.asarray((flat - means.T[block]).reshape(values.shape), np.float64)
 
 
-def do_not_scatter(y: FloatArray, columns: FloatArray, unit: IntArray) -> bool:
-    """Whether columns, and the levels of units where any was measured twice, explain the values exactly.
+def do_not_scatter(y: FloatArray, columns: FloatArray, unit: IntArray, *, nearly: bool = False) -> bool:
+    """Whether columns, and the levels of units where any was measured twice, explain the values exactly, or nearly.
 
     >>> unit = np.array([0, 0, 1, 1])
     >>> do_not_scatter(np.array([1.0, 1.5, 3.0, 3.5]), np.array([[0.0], [1.0], [0.0], [1.0]]), unit)
@@ -51,7 +52,8 @@ def do_not_scatter(y: FloatArray, columns: FloatArray, unit: IntArray) -> bool:
     block = unit if np.bincount(unit).max() > 1 else np.zeros_like(unit)
     inside, beside = less_block_means(y, block), less_block_means(columns, block)
     rest = inside - beside @ np.linalg.lstsq(beside, inside, rcond=_DEPENDENT)[0]
-    return bool(np.abs(rest).max() <= _EXACT * np.abs(y).max())
+    least = _NEARLY_EXACT * inside.std() if nearly else 0.0
+    return bool(np.abs(rest).max() <= _EXACT * np.abs(y).max() or rest.std() <= least)
 
 
 def ols_estimates(

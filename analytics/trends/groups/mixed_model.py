@@ -148,9 +148,11 @@ class MixedModel:
         for at, levels in enumerate(self._levels, start=logs.size - len(self.random)):
             scale[levels] = np.exp((logs[at] - logs[0]) / 2)
         matrix, right = np.eye(q) + scale[:, None] * left[:-1, :-1] * scale, scale * left[:-1, -1]
-        inverse = np.asarray(np.linalg.inv(matrix), np.float64)
+        values, vectors = np.linalg.eigh(matrix)
+        values = np.maximum(values, 1.0)  # 1 and what is not negative; rounding may lose the 1 beside large numbers
+        inverse = np.asarray((vectors / values) @ vectors.T, np.float64)
         solution = inverse @ right
-        log_det = float(np.linalg.slogdet(correlated)[1] - 2 * np.log(size).sum() + np.linalg.slogdet(matrix)[1])
+        log_det = float(np.linalg.slogdet(correlated)[1] - 2 * np.log(size).sum() + np.log(values).sum())
         squares = float(left[-1, -1] - solution @ right)
         return _Equations(ratio, inverse_fixed, beside, scale, inverse, solution, squares, log_det)
 
@@ -306,6 +308,8 @@ def _crossing(above: Callable[[float], float], start: float, step: float, most: 
     while abs(inside - start) < abs(most):
         outside = inside + step
         if above(outside) > 0:
+            if above(inside) >= 0:  # at the optimum itself, within its tolerance
+                return inside
             return float(brentq(above, min(inside, outside), max(inside, outside), xtol=3e-3))
         inside, step = outside, step * 1.5
     return None

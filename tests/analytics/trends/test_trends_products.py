@@ -244,3 +244,24 @@ def test_a_group_of_many_levels_is_in_no_other_component() -> None:
     found = components(series_of(value, unit, fixture=fixture), ("station", "fixture", "lot"))
     assert set(found) == {"unit", "residual"}
     assert found["residual"].lo < 0.02 < found["residual"].hi < 0.03
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-5, 1e-3])
+def test_components_beside_large_offsets_are_right_or_none(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    unit, station = np.repeat(np.arange(30), 3), np.tile([0, 1, 2], 30)
+    value = rng.normal(0, 0.1, 30)[unit] + np.array([0, 0.1, 0.25])[station] + noise * rng.normal(size=90)
+    found = components(series_of(value, unit, station=station, lot=unit % 4), ("station", "fixture", "lot"))
+    if noise < 1e-3:
+        assert found == {}
+        return
+    assert found["residual"].lo < noise < found["residual"].hi
+    assert found["station"].lo < np.std([0, 0.1, 0.25], ddof=1) < found["station"].hi
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_values_of_a_coarse_grid_with_an_exact_offset_end_no_report(seed: int) -> None:
+    rng = np.random.default_rng([4, seed])
+    unit, station = np.repeat(np.arange(20), 2), np.tile([0, 1], 20)
+    value = np.round(5 + rng.normal(0, 0.3, 20), 1)[unit] + 0.1 * station
+    assert sentences(trend_of(series_of(value, unit, station=station), by="station"))

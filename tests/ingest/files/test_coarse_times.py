@@ -170,3 +170,18 @@ def test_even_losses_may_be_rounding_and_both_are_reported(tmp_path: Path) -> No
     assert remark.startswith("warning: of 1 signal about one sample in 50 is missing, evenly, by times in whole steps")
     assert "samples every 0.0102041 s" in remark
     assert "--rename 'time[s]=' --sample-rate 98" in remark
+
+
+def test_samples_that_another_signal_has_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "cells.csv"
+    rows = (f"{i * 0.01:.2f},{i % 7},{'' if i % 50 == 9 else 25.0}\n" for i in range(6000))
+    path.write_text(f"time[s],rate[deg/s],temperature[degC]\n{''.join(rows)}")
+    assert TableFile(path, TableOptions(unit="U1")).check().remarks == ()
+
+
+def test_times_with_a_long_gap_are_not_to_be_made_even(tmp_path: Path) -> None:
+    path = tmp_path / "gap.csv"
+    rows = (f"{i * 0.01 + (7 if i > 1500 else 0):.2f},{i % 7}\n" for i in range(3000) if i % 50 != 9)
+    path.write_text(f"time[s],rate[deg/s]\n{''.join(rows)}")
+    (remark,) = TableFile(path, TableOptions(unit="U1")).check().remarks
+    assert remark.endswith("if so, write them with more digits")

@@ -9,6 +9,7 @@ from analytics.plots.picture import Axis, Curve, Label, Mark, Picture, Style
 from analytics.serve.api.operation import Call, get, link
 from analytics.serve.api.trend import trends
 from analytics.specifications.verdicts import UNGIVEN, UNGIVEN_ZH
+from analytics.trends.words import behind
 from stream.errors import NotFound
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ def _shift(shift: dict[str, Any], unit_of_measure: str) -> Mark | None:
         moment = datetime.fromisoformat(shift["time"]).replace(tzinfo=UTC)
     except ValueError:
         return None
-    size = f"{shift['size']:+.3g} {unit_of_measure}"
+    size = f"{shift['size']:+.3g}{behind(unit_of_measure)}"
     where = shift["station"] or ""
     doubt = ("perhaps ", "可能 ") if shift["lo"] <= 0.0 <= shift["hi"] else ("", "")
     en, zh = (f"{where} {word}{size}".strip() for word in doubt)
