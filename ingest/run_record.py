@@ -58,7 +58,7 @@ class RunRecord(Generic[State]):
 
     The `spool` keeps what is sent until it is recorded. A run whose state cannot be written raises StoreError at its
     begin and at its end. In between, as on a full disk, it goes on: `unsaved` is why its file is behind, None where it
-    is not, and each further change is tried anew.
+    is not, and each further change is written again.
     """
 
     def __init__(self, state: State, file: Path, spool: Spool, place: Place) -> None:

@@ -1,7 +1,7 @@
 """Processes for commands without the wait for their imports: a server that has loaded the program once and forks.
 
-What a command does is done in a process of its own, with its own folder, files, signals and end, of which the server
-tells the test's process; only the start, one to three seconds of importing, is that of the server
+What a command does is done in a process of its own, with its own folder, files, signals and end, which the server
+reports to the test's process; only the start, one to three seconds of importing, is that of the server
 (``python -P tests/forked_commands.py SOCKET``). The process that answers a statement is forked as well, but where its
 time or memory is limited: from the command's, from the server where a test asks in its own process, and from a process
 beside a command that is a server, which has threads. So are the processes of a simulated station. A few tests start the
@@ -192,7 +192,7 @@ def _forking(popen: Callable[..., Any]) -> SimpleNamespace:
 
 
 class ForkedProcess(subprocess.Popen[AnyStr]):
-    """A process that a server has forked, which tells this process its end.
+    """A process that a server has forked, which reports its end to this process.
 
     It is that of a command, or of a module where the arguments say so (``-m MODULE``). Input, output and errors may be
     left alone, be pipes of their own, or go to files.
@@ -368,7 +368,7 @@ def _join_pages() -> None:
 
 
 def _fork_for(server: socket.socket) -> NoReturn:
-    """Fork a process for each that connects, and tell it the end of that process."""
+    """Fork a process for each that connects, and report the end of that process to it."""
     watched = selectors.DefaultSelector()
     watched.register(server, selectors.EVENT_READ)
     while True:

@@ -9,7 +9,7 @@ _MOST_WAITING = 64  # frames of one id and channel within that time
 
 
 class Echoes:
-    """Tells frames that repeat one of the other direction: id, channel and data are the same, within 5 ms.
+    """Finds frames that repeat one of the other direction: id, channel and data are the same, within 5 ms.
 
     Each frame is repeated once at most. Frames of one direction alone are never echoes, whatever their data.
 
