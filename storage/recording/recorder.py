@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
@@ -17,7 +18,6 @@ from storage.manifests.lake import read_manifest
 from storage.recording.acts.signed_rules import keep_signed_rules
 from storage.recording.disk_watch import DiskWatch
 from storage.recording.intake import Intake
-from storage.recording.lake_builder import LakeBuilder
 from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
 from storage.recording.status_board import StatusBoard
@@ -32,6 +32,9 @@ from stream.status.reporter import StatusReporter
 from stream.status.role_status import SILENT_AFTER_S, STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
+
+if TYPE_CHECKING:
+    from storage.recording.lake_builder import LakeBuilder
 
 _QUEUE_BYTES = 64 << 20
 _ROOM_PATIENCE_S = 2.0  # of a bus callback: a source closes a transport that stalls for 8 s
@@ -83,7 +86,7 @@ class Recorder(Closing):
         self._quiet_at: float | None = None
         self._ending: str | None = None  # of the certificate
         self._synced_at = self._troubled_at = time.monotonic()
-        self._builder = LakeBuilder(store, on_warning) if builds_lake else None
+        self._builder = _new_builder(store, on_warning) if builds_lake else None
         self._turned_at = time.monotonic()
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
@@ -345,3 +348,9 @@ class Recorder(Closing):
         text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
         self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
+
+
+def _new_builder(store: Store, on_warning: Callable[[str], None]) -> "LakeBuilder":
+    from storage.recording.lake_builder import LakeBuilder  # and pyarrow, 25 MB
+
+    return LakeBuilder(store, on_warning)

@@ -16,7 +16,7 @@ from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SE
 from stream.errors import NewerSchema, WireError
 from stream.wire import samples_pb2
 from stream.wire.count_planes import join_planes
-from stream.wire.count_residuals import MEAN_BYTES, join_counts, split_counts
+from stream.wire.count_residuals import MEAN_BYTES, first_count, join_counts, split_counts
 
 SAMPLE_SCHEMA = 3
 VALUES_SCHEMA = 2  # of batches without counts, which older readers understand
@@ -252,12 +252,12 @@ def encode_preview(payload: bytes) -> bytes:
         (value,) = struct.unpack_from("<d", values)
     else:
         if residuals := message.count_residuals:
-            count = join_counts(residuals[:MEAN_BYTES] + residuals[MEAN_BYTES::n], 1)
+            count = first_count(residuals, n)
         elif planes := message.count_planes:
-            count = join_planes(planes[::n], 1)
+            count = int(join_planes(planes[::n], 1)[0])
         else:
-            count = np.frombuffer(message.counts, "<i4", 1)
-        value = int(count[0]) * message.scale + message.offset
+            (count,) = struct.unpack_from("<i", message.counts)
+        value = count * message.scale + message.offset
     return bytes(samples_pb2.Preview(value=value, unit_of_measure=message.unit_of_measure).SerializeToString())
 
 

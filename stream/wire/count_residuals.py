@@ -36,6 +36,17 @@ def join_counts(residuals: bytes, n: int) -> CountArray:
     return _join(np.frombuffer(residuals, np.uint8), n)
 
 
+def first_count(residuals: bytes, n: int) -> int:
+    """The first of `n` counts, without arrays, which would take ten times as long.
+
+    >>> first_count(split_counts(np.array([-700, 2, 5], np.int32)), 3)
+    -700
+    """
+    zigzag = int.from_bytes(residuals[MEAN_BYTES::n], "little")
+    count = int.from_bytes(residuals[:MEAN_BYTES], "little") + (zigzag >> 1 ^ -(zigzag & 1))
+    return (count + 2**31) % 2**32 - 2**31
+
+
 def join_batches(residuals: Sequence[bytes], sizes: IntArray) -> CountArray:
     """The counts of many batches one after another; batches of equal form are joined together.
 
