@@ -41,8 +41,8 @@ def _has(*keys: str) -> Callable[[Mapping[str, Any]], bool]:
 
 
 def _station(path: Path) -> str:
+    from ingest.run.station_security import station_security
     from ingest.station.station import load_station
-    from ingest.station.station_security import station_security
 
     found = load_station(path)
     station_security(path)

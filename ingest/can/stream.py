@@ -13,7 +13,7 @@ from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.summary import CanCounts
 from ingest.tables.batches import SAMPLES_PER_GAP
-from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
+from ingest.tables.timing.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
 # A signal's interval is measured over its first samples.

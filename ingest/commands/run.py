@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ingest.commands.procedure import PROCEDURE
-from ingest.station.station_security import station_security
+from ingest.run.station_security import station_security
 from stream.decoding import converted
 from stream.errors import BadInput
 from stream.roles.role_log import logged

@@ -8,7 +8,7 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.grid import Sampling, is_gap
+from ingest.tables.timing.grid import Sampling, is_gap
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
 # A minute of samples a batch: a message costs as much as some thousand samples, and a replay sends whole ones.

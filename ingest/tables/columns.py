@@ -17,10 +17,10 @@ from pathlib import Path
 
 import msgspec
 
-from ingest.tables.dated_clocks import DatedClock, find_dated_clock, why_no_moment
 from ingest.tables.rows import Room
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
+from ingest.tables.timing.dated_clocks import DatedClock, find_dated_clock, why_no_moment
 from ingest.tables.units import column_unit, is_temperature, time_unit
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput

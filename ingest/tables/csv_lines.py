@@ -13,9 +13,9 @@ from itertools import accumulate
 import numpy as np
 
 from ingest.tables.columns import Columns, TimeColumn
-from ingest.tables.dated_clocks import is_clock, is_date, joined
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
+from ingest.tables.timing.dated_clocks import is_clock, is_date, joined
 from ingest.tables.units import is_same_unit, is_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput

@@ -15,12 +15,13 @@ from ingest.tables.batches import Batcher, SignalHead, by_time, splits_at_gaps, 
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.grid import SignalGrids
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, CellBlock, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.time_remarks import (
+from ingest.tables.times import RunClock
+from ingest.tables.timing.grid import SignalGrids
+from ingest.tables.timing.time_remarks import (
     coarse_times_remark,
     even_losses_remarks,
     future_remark,
@@ -30,7 +31,6 @@ from ingest.tables.time_remarks import (
     repeated_times_advice,
     unset_clock_remark,
 )
-from ingest.tables.times import RunClock
 from ingest.tables.units import COUNT_UNITS
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput

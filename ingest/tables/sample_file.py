@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Protocol
 from uuid import UUID
 
-from ingest.tables.grid import Sampling
 from ingest.tables.rows import BadRow
+from ingest.tables.timing.grid import Sampling
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords

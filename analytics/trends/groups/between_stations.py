@@ -76,7 +76,8 @@ def compare_groups(
     """
     if series.value.size < LEAST_VALUES:
         return not_computed("groups_short", values=series.value.size, least=LEAST_VALUES)
-    every = np.column_stack([product_columns(series), *(_columns(series, name) for name in groups)])
+    few = [name for name in groups if len(set(series.groups[name])) <= _MOST_LEVELS]
+    every = np.column_stack([product_columns(series), *(_columns(series, name) for name in few)])
     if do_not_scatter(series.value, every, codes(series.unit)[1]):
         return not_computed("groups_exact")
     found, left_out = _groups(series, groups)

@@ -30,10 +30,12 @@ def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, Compo
     random = {}
     for name in groups:
         levels, code = codes(series.groups[name])
+        if not 1 < len(levels) <= _MOST_FIXED_LEVELS:
+            continue
         indicators = np.eye(len(levels))[code]
-        if 1 < len(levels) <= _MOST_LEVELS:
+        if len(levels) <= _MOST_LEVELS:
             random[name] = indicators
-        elif _MOST_LEVELS < len(levels) <= _MOST_FIXED_LEVELS:
+        else:
             columns.append(indicators)
     fixed = np.column_stack(columns)
     fixed = fixed[:, independent(fixed)]

@@ -51,7 +51,10 @@ def do_not_scatter(y: FloatArray, columns: FloatArray, unit: IntArray, *, nearly
     """
     block = unit if np.bincount(unit).max() > 1 else np.zeros_like(unit)
     inside, beside = less_block_means(y, block), less_block_means(columns, block)
-    rest = inside - beside @ np.linalg.lstsq(beside, inside, rcond=_DEPENDENT)[0]
+    inverse = np.linalg.pinv(beside.T @ beside, rcond=_DEPENDENT, hermitian=True)
+    rest = inside
+    for _ in range(2):  # again, what the squares of the first round lose
+        rest = rest - beside @ (inverse @ (beside.T @ rest))
     least = _NEARLY_EXACT * inside.std() if nearly else 0.0
     return bool(np.abs(rest).max() <= _EXACT * np.abs(y).max() or rest.std() <= least)
 

@@ -16,11 +16,11 @@ from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
 from ingest.can.summary import CanSummary, remarks
 from ingest.tables.batches import Batcher, splits_at_gaps
-from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.time_remarks import even_losses_remarks, rate_change_remarks
 from ingest.tables.times import RunClock
+from ingest.tables.timing.grid import SamplingGrid
+from ingest.tables.timing.time_remarks import even_losses_remarks, rate_change_remarks
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords

@@ -17,11 +17,11 @@ from gyrofleet import main
 from ingest.can.mapping import CanMapping
 from ingest.procedures.file import ready_names
 from ingest.procedures.procedure import load_procedure
+from ingest.run.station_security import station_security
 from ingest.serial.frame_layout import load_layout
 from ingest.simulator.physics.plan import load_plan
 from ingest.simulator.station_files import write_station
 from ingest.station.station import load_station
-from ingest.station.station_security import station_security
 from storage.specifications.specification import check_names, parse_specification, read_specification
 from stream.roles.config_file import check_config
 from stream.security.certificate_authority import Site

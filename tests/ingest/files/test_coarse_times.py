@@ -11,7 +11,7 @@ import pytest
 
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
-from ingest.tables.grid import Sampling, SamplingGrid
+from ingest.tables.timing.grid import Sampling, SamplingGrid
 from storage.sql.catalog import Catalog
 from storage.store import Store
 

@@ -50,7 +50,7 @@ def test_a_record_without_its_samples_does_not_pass(
 
 def test_events_in_whole_milliseconds_are_no_grid() -> None:
     """A source that sends with jitter about its interval has no finer one."""
-    from ingest.tables.grid import SamplingGrid
+    from ingest.tables.timing.grid import SamplingGrid
 
     rng = np.random.default_rng(5)
     for steps in (rng.integers(97, 105, 5000), rng.integers(2, 9, 5000), rng.choice([20, 30], 5000)):

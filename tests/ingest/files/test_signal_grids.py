@@ -13,8 +13,8 @@ from ingest.tables.columns import TableOptions
 from ingest.tables.csv_chunks import CsvTable
 from ingest.tables.csv_lines import usual_lines
 from ingest.tables.file import TableFile
-from ingest.tables.grid import SamplingGrid, SignalGrids
 from ingest.tables.rows import CellBlock, NumberCells, Room
+from ingest.tables.timing.grid import SamplingGrid, SignalGrids
 from stream.batch import SampleBatch
 
 _cells = st.sampled_from(["all", "some", "none", "valid"])

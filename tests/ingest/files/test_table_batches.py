@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ingest.tables.batches import Batcher, SignalHead
 from ingest.tables.columns import TableOptions
 from ingest.tables.file import TableFile
-from ingest.tables.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
+from ingest.tables.timing.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
 from stream.batch import IntArray, SampleBatch
 
 INTERVALS = st.lists(st.sampled_from([10, 10, 10, 10, 11, 9, 13, 20, 100, 1005]), min_size=0, max_size=80)

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
-from ingest.tables.grid import Sampling
 from ingest.tables.sample_file import SignalSummary
 from ingest.tables.times import stamp_text
+from ingest.tables.timing.grid import Sampling
 from stream.defects.rate_changes import RateChange, remark_on_rate_changes
 
 if TYPE_CHECKING:
