@@ -1,7 +1,6 @@
 """Differences between stations, fixtures and lots and what they are confounded with."""
 
 from collections import defaultdict
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -225,12 +224,16 @@ def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
     names = {"level": series.groups[group.name], "serial": series.serial, "unit": series.unit}
     frame = pl.DataFrame(names | {"value": series.value})
     means = frame.group_by("level", "serial", "unit", maintain_order=True).agg(pl.col("value").mean())
+    means = means.filter(pl.col("level").is_in(group.levels))
     found = []
-    for one, two in combinations(group.levels, 2):
-        of_one, of_two = (means.filter(level=level).select("serial", "unit", "value") for level in (one, two))
-        both = of_one.join(of_two, on=("serial", "unit"), suffix="_two")
-        both = both.group_by("serial").agg((pl.col("value_two") - pl.col("value")).mean()).sort("serial")
-        if both.height >= LEAST_PAIRS:
-            differences = both["value_two"].to_numpy()
-            found.append(Pairs(group.name, two, one, both.height, paired_difference(differences)))
+    for one in group.levels:
+        both = means.filter(level=one).join(
+            means.filter(pl.col("level") > one), on=("serial", "unit"), suffix="_two", maintain_order="left_right"
+        )
+        difference = (pl.col("value_two") - pl.col("value")).mean()
+        both = both.group_by("level_two", "serial", maintain_order=True).agg(difference).sort("level_two", "serial")
+        for (two,), those in both.group_by("level_two", maintain_order=True):
+            if those.height >= LEAST_PAIRS:
+                differences = those["value_two"].to_numpy()
+                found.append(Pairs(group.name, str(two), one, those.height, paired_difference(differences)))
     return found
