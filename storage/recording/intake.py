@@ -146,6 +146,8 @@ class Intake:
         self.clock_steps: list[ClockStep] = []
         self.ended_runs = self.late = 0
         self._ended: dict[str, None] = {}
+        self._authorised: dict[str, Principal] = {}  # who may send samples under a key
+        self._runs: dict[str, str] = {}  # of a key's last samples
         self._asked: dict[StreamId, tuple[int, float]] = {}
         self._last_ns: dict[StreamId, int] = {}
         self._previewed: dict[str, int] = {}
@@ -161,8 +163,9 @@ class Intake:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             source, body = self._opened(key, payload)
             if isinstance(parsed, SampleKey):
-                if source is not None:
+                if source is not None and self._authorised.get(key) is not source:
                     check_authority(source, key, parsed, None)
+                    self._authorised[key] = source
                 self._add_samples(key, parsed, payload, body, arrival_ns, source)
             else:
                 self._add_document(key, parsed, payload, body, arrival_ns, source)
@@ -212,15 +215,18 @@ class Intake:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
-        if run:
+        is_known = self._runs.get(key) == run  # of that run of the key all is checked
+        if run and not is_known:
             check_name("run", run)
             self._check_owner(run, source)
         stream = StreamId(key, epoch)
         place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
         if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload), body):
             return
-        if self._owners is not None and run:
-            self._owners.add(run, parsed.place.station)
+        if run and not is_known:
+            if self._owners is not None:
+                self._owners.add(run, parsed.place.station)
+            self._runs[key] = run
         self.counts.samples += next_seq - seq
         before_ns = self._last_ns.get(stream)
         self._last_ns[stream] = last_ns

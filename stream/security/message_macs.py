@@ -17,6 +17,8 @@ EARLIER_MAC_BYTES = 16
 class MacSession:
     """MACs under the key of one session, which is made of the secret and the session's random name.
 
+    The end of what `encrypt` returns is the tag: where each message counts, it is called without the call of `tag`.
+
     >>> session = MacSession(bytes(32), bytes(SESSION_BYTES))
     >>> session.tag(bytes(NUMBER_BYTES), "gyrofleet/plant/c1/U1/rate", b"samples").hex()
     'd1ba91bb7e80d86fdb4584a7874cedda'
@@ -25,11 +27,11 @@ class MacSession:
     def __init__(self, secret: bytes, name: bytes) -> None:
         from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-        self._encrypt = AESGCM(blake2b(name, digest_size=32, key=secret, person=b"gyrofleet gcm").digest()).encrypt
+        self.encrypt = AESGCM(blake2b(name, digest_size=32, key=secret, person=b"gyrofleet gcm").digest()).encrypt
 
     def tag(self, number: bytes, key: str, body: bytes) -> bytes:
         """The tag of a message and its key expression; the enciphered key expression before it is not needed."""
-        return self._encrypt(number, message_context(key), body)[-TAG_BYTES:]
+        return self.encrypt(number, message_context(key), body)[-TAG_BYTES:]
 
 
 def earlier_mac(secret: bytes, key: str, body: bytes) -> bytes:

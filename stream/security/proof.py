@@ -11,6 +11,7 @@ A proof is the last field of a message: field 19 of a batch, `proof` of a docume
 import os
 import struct
 from base64 import b64decode, b64encode
+from collections.abc import Callable
 from functools import lru_cache
 from hmac import compare_digest
 from itertools import count
@@ -44,6 +45,7 @@ _FIELD = b"\x9a\x01"  # number 19, bytes
 _LENGTH = struct.Struct("<H")
 _HEAD_BYTES = len(_FIELD) + 3
 _AFTER_BYTES = len(_TAIL) + _LENGTH.size
+_NUMBER_AND_TAG = struct.Struct(f"{NUMBER_BYTES}s{TAG_BYTES}s")
 _VARIED_BYTES = NUMBER_BYTES + TAG_BYTES + _AFTER_BYTES  # from the number of a MAC to the end of the message
 
 
@@ -136,6 +138,7 @@ class SourceProver:
     """Adds proofs to the messages of a source."""
 
     def __init__(self, credentials: Credentials) -> None:
+        self._contexts: dict[str, bytes] = {}  # of keys under which messages have MACs for one recorder
         self._own, self._by = credentials, credentials.principal.common_name
         recorders = sorted(each for each in credentials.access.admitted if each.role is Role.RECORDER)
         self._secrets = {
@@ -150,22 +153,30 @@ class SourceProver:
         self._name = os.urandom(SESSION_BYTES)
         self._sessions = {recorder: MacSession(secret, self._name) for recorder, secret in self._secrets.items()}
         # of a proof for one recorder all is the same but number and tag
-        self._frame: tuple[bytes, MacSession, bytes] | None = None
+        self._frame: tuple[bytes, Callable[[bytes, bytes, bytes], bytes], bytes] | None = None
         if len(self._sessions) == 1:
             ((recorder, session),) = self._sessions.items()
             packed = msgspec.msgpack.encode(Proof(self._by, {recorder: self._name + bytes(NUMBER_BYTES + TAG_BYTES)}))
             size = len(packed) + _LENGTH.size
             before = packed[: -NUMBER_BYTES - TAG_BYTES - len(_TAIL)]
-            self._frame = _field_head(size) + before, session, _TAIL + _LENGTH.pack(size)
+            self._frame = _field_head(size) + before, session.encrypt, _TAIL + _LENGTH.pack(size)
 
     def prove(self, key: str, body: bytes) -> bytes:
         """The message with its proof."""
+        context = self._contexts.get(key)
+        if context is not None and body[:1] != b"{":
+            assert self._frame is not None
+            number = next(self._numbers).to_bytes(NUMBER_BYTES, "big")
+            before, encrypt, after = self._frame
+            return b"".join((body, before, number, encrypt(number, context, body)[-TAG_BYTES:], after))
+        return self._prove(key, body)
+
+    def _prove(self, key: str, body: bytes) -> bytes:
         if key.endswith("/event") or not self._sessions:
             return joined(body, Proof(self._by, signature=_signature(self._own, message_context(key), body)))
         number = next(self._numbers).to_bytes(NUMBER_BYTES, "big")
-        if self._frame is not None and not body.startswith(b"{"):
-            before, session, after = self._frame
-            return b"".join((body, before, number, session.tag(number, key, body), after))
+        if self._frame is not None:
+            self._contexts[key] = message_context(key)
         begun = self._name + number
         macs = {recorder: begun + session.tag(number, key, body) for recorder, session in self._sessions.items()}
         return joined(body, Proof(self._by, macs))
@@ -192,7 +203,7 @@ class SourceVerifier:
         self._known: dict[str, tuple[Principal, bytes]] = {}
         self._sessions: dict[tuple[str, bytes], MacSession] = {}
         # by what is the same in every message of a session for this recorder alone, and after it its end
-        self._frames: dict[bytes, tuple[Principal, MacSession, bytes]] = {}
+        self._frames: dict[bytes, tuple[Principal, Callable[[bytes, bytes, bytes], bytes], bytes]] = {}
 
     @property
     def access(self) -> AccessList:
@@ -204,12 +215,11 @@ class SourceVerifier:
         size = _HEAD_BYTES + (payload[-2] | payload[-1] << 8) if len(payload) > _VARIED_BYTES else 0
         found = self._frames.get(payload[-size:-_VARIED_BYTES])
         if found is not None:
-            principal, session, after = found
+            principal, encrypt, after = found
             if payload.endswith(after):
                 body = payload[:-size]
-                number = payload[-_VARIED_BYTES : NUMBER_BYTES - _VARIED_BYTES]
-                tag = payload[NUMBER_BYTES - _VARIED_BYTES : -_AFTER_BYTES]
-                if not compare_digest(tag, session.tag(number, key, body)):
+                number, tag = _NUMBER_AND_TAG.unpack_from(payload, len(payload) - _VARIED_BYTES)
+                if not compare_digest(tag, encrypt(number, message_context(key), body)[-TAG_BYTES:]):
                     raise Forged(f"its proof is not that of {principal}")
                 return principal, body
         message = split(payload)
@@ -228,7 +238,7 @@ class SourceVerifier:
             if len(self._frames) >= _MOST_SESSIONS:
                 self._frames.clear()
             frame = payload[len(message.body) : -_VARIED_BYTES]
-            self._frames[frame] = principal, session, payload[-_AFTER_BYTES:]
+            self._frames[frame] = principal, session.encrypt, payload[-_AFTER_BYTES:]
 
     def source_of(self, key: str, message: Proven) -> Principal:
         """Who sent a message; raises Forged if its proof is not that of an admitted principal."""
