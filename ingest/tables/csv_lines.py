@@ -362,6 +362,8 @@ class LineReader:
         assert time is not None
         if time.is_stamp:
             text = _stamp_text(time, cells)
+            if time.date_title is not None and not cells.get(time.date_title, "").strip(_BLANK):
+                raise _BadCell(time.date_title, "", "a date in each row, like 2026-11-21")
             stamp = match_stamp(text)
             if stamp is not None and self.has_zone not in (None, stamp["zone"] is not None):
                 which = "with a zone" if self.has_zone else "without a zone"

@@ -10,7 +10,7 @@ from ingest.tables.times import match_stamp
 
 _CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?(?:\s?(?:Z|[+-]\d\d(?::?\d\d)?|[AaPp][Mm]))?", re.ASCII)
 _TWELVE_HOURS = re.compile(r"[AaPp][Mm]$")
-_YEAR_LAST = re.compile(r"\d{1,2}([/.-])\d{1,2}\1\d{4}(?:[T\s].*)?", re.ASCII)
+_YEAR_LAST = re.compile(r"\d{1,2}([/.-])\d{1,2}\1(\d\d(?:\d\d)?)(?:[T\s].*)?", re.ASCII)
 _OF_DATES = frozenset({"date", "datum", "日期"})
 _OF_CLOCKS = frozenset({"time", "timeofday", "clock", "zeit", "uhrzeit", "时间", "时刻"})
 
@@ -40,6 +40,8 @@ def is_date(cell: str) -> bool:
 def find_dated_clock(names: Mapping[str, str], first: Mapping[str, str]) -> DatedClock | None:
     """The columns, by title, whose names and first cells are a date and a time of day; None if there are not one each.
 
+    The first date may be missing.
+
     >>> find_dated_clock({"Datum": "Datum", "Uhrzeit": "Uhrzeit"}, {"Datum": "2026-11-20", "Uhrzeit": "08:00:00,5"})
     DatedClock(date='Datum', clock='Uhrzeit')
     """
@@ -47,7 +49,7 @@ def find_dated_clock(names: Mapping[str, str], first: Mapping[str, str]) -> Date
     def letters(title: str) -> str:
         return re.sub(r"[\W_]", "", names[title]).lower()
 
-    dates = [title for title, cell in first.items() if _has_date(cell) and letters(title) in _OF_DATES]
+    dates = [title for title, cell in first.items() if letters(title) in _OF_DATES and (not cell or _has_date(cell))]
     clocks = [title for title, cell in first.items() if is_clock(cell) and letters(title) in _OF_CLOCKS]
     return DatedClock(dates[0], clocks[0]) if len(dates) == len(clocks) == 1 else None
 
@@ -66,8 +68,9 @@ def why_no_moment(cell: str, *, has_date: bool = False) -> str | None:
     >>> why_no_moment("2026-11-20"), why_no_moment("1.5"), why_no_moment("08:00", has_date=True)
     (None, None, None)
     """
-    if _YEAR_LAST.fullmatch(cell):
-        return f"{cell!r}, with day or month first, which programs read either way: write the year first, as 2026-11-20"
+    if (date := _YEAR_LAST.fullmatch(cell)) is not None:
+        what = "with day or month first" if len(date[2]) > 2 else "a date with two digits for the year"
+        return f"{cell!r}, {what}, which programs read either way: write the year first, as 2026-11-20"
     if not is_clock(cell):
         return None
     if _TWELVE_HOURS.search(cell):

@@ -184,6 +184,7 @@ def test_a_date_and_a_time_of_day_in_two_columns_are_the_time(
     [
         ("Date;Time", "05/11/2026;08:00:00", "'Date' holds '05/11/2026', with day or month first"),
         ("Time", "20.11.2026 08:00:00", "'Time' holds '20.11.2026 08:00:00', with day or month first"),
+        ("Date;Time", "20.11.26;08:00:00", "'Date' holds '20.11.26', a date with two digits for the year"),
         ("Time", "23:59:59.5", "'Time' holds '23:59:59.5', a time of day without a date: write the date before it"),
         ("Date;Time", "2026-11-20;8:00:00 PM", "'Time' holds '8:00:00 PM', a time of day in twelve hours"),
     ],
@@ -194,6 +195,18 @@ def test_what_a_time_stamp_lacks_is_named(tmp_path: Path, titles: str, cells: st
     with pytest.raises(BadInput, match=re.escape(why)) as refused:
         TableFile(path, TableOptions(unit="U"))
     assert str(refused.value).count(" holds ") == 1
+
+
+@pytest.mark.parametrize("first", ["", "2026-11-20"])
+def test_a_row_without_its_date_is_reported(run_command: Callable[..., Any], tmp_path: Path, first: str) -> None:
+    rows = [f"{first},08:00:00,1", ",08:00:01,2", *(f"2026-11-20,08:00:{s:02},3" for s in range(2, 20))]
+    (tmp_path / "log.csv").write_text("\n".join(["Date,Time,rate[deg/s]", *rows]) + "\n")
+    words = ("import", "log.csv", "--unit", "U", "--store", "s")
+    refused = run_command(*words, cwd=tmp_path)
+    assert refused.code != 0
+    assert "line 3, column Date: found '', expected a date in each row" in refused.err
+    (file,) = run_command(*words, "--skip-bad", "--json", cwd=tmp_path).json["files"]
+    assert (file["bad_row_count"], file["signals"][0]["in_file"]) == ((2, 18) if not first else (1, 19))
 
 
 def test_a_column_that_is_left_out_is_no_time_beside_a_bad_row(tmp_path: Path) -> None:
