@@ -116,17 +116,24 @@ def _repeated_hours(first_ns: int, last_ns: int, zone: str) -> Iterator[tuple[in
 def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, has_gaps: bool = False) -> str:
     """A warning that even samples have times rounded to steps of more than a quarter of their interval.
 
-    Where there are gaps, nothing else is advised: even times would close them.
+    Where there are gaps, nothing else is advised: even times would close them. Between one and two steps, samples every
+    step of which some are missing evenly have the same times.
 
     >>> coarse_times_remark("time[s]", 7812500, 10**7, 1)[:86]
     "warning: column 'time[s]' is written in steps of 0.0078125 s, and samples of 1 signal "
     """
     even = "write them with more digits" if has_gaps else _evenly(title, f"{1e9 / dt_ns:.4g}")
+    missing = ""
+    if step_ns < dt_ns < 2 * step_ns:
+        missing = (
+            f"; samples every {step_ns / 1e9:.6g} s of which {1 - step_ns / dt_ns:.0%} are missing, evenly, have the same "
+            "times"
+        )
     which = "1 signal come" if signals == 1 else f"{signals} signals come"
     return (
         f"warning: column {title!r} is written in steps of {step_ns / 1e9:.6g} s, and samples of {which} every "
         f"{dt_ns / 1e9:.6g} s on average: their times are taken as they are, as irregular, and single losses are not "
-        f"seen; {even}"
+        f"seen{missing}; {even}"
     )
 
 

@@ -69,6 +69,16 @@ def test_times_that_become_coarse_as_the_record_goes_on_are_said(tmp_path: Path)
     assert summary.signals[0].sampling.dt_ns == 10_000_000
 
 
+@pytest.mark.parametrize(("every", "share"), [(10, "10%"), (5, "20%"), (3, "33%")])
+def test_even_losses_of_many_samples_are_named_beside_rounded_times(tmp_path: Path, every: int, share: str) -> None:
+    times = [f"{i / 100:.2f},{i % 7}" for i in range(5000) if i % every]
+    path = tmp_path / "lost.csv"
+    path.write_text("\n".join(["time[s],rate[deg/h]", *times]))
+    (remark,) = TableFile(path, TableOptions(unit="U1")).check().remarks
+    assert f"samples every 0.01 s of which {share} are missing, evenly, have the same times" in remark
+    assert f"--sample-rate {100 * (1 - 1 / every):.4g}" in remark
+
+
 @pytest.mark.parametrize("rate_hz", [59.94, 60.0, 70.0, 30.3])
 def test_hundredths_of_a_second_give_the_interval(rate_hz: float) -> None:
     times_ns = np.round(np.arange(20_000) / rate_hz, 2) * 1e9
