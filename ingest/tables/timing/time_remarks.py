@@ -126,8 +126,8 @@ def coarse_times_remark(title: str, step_ns: int, dt_ns: int, signals: int, *, h
     missing = ""
     if step_ns < dt_ns < 2 * step_ns:
         missing = (
-            f"; samples every {step_ns / 1e9:.6g} s of which {1 - step_ns / dt_ns:.0%} are missing, evenly, have the same "
-            "times"
+            f"; samples every {step_ns / 1e9:.6g} s of which {1 - step_ns / dt_ns:.0%} are missing, evenly, have the "
+            "same times"
         )
     which = "1 signal come" if signals == 1 else f"{signals} signals come"
     return (
