@@ -26,6 +26,7 @@ from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
+from stream.scheduling import wait_for_turn
 from stream.security.proof import SourceVerifier, credentials_of
 from stream.status.proven_status import received_status
 from stream.status.reporter import StatusReporter
@@ -189,6 +190,7 @@ class Recorder(Closing):
             self.counts.rejections.append(f"a status: {str(error)[:500]}")
 
     def _write_loop(self) -> None:
+        wait_for_turn()
         trouble: OSError | None = None
         try:
             while True:

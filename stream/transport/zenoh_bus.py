@@ -18,6 +18,7 @@ import zenoh
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.closing import Closing
 from stream.errors import BusError, GyrofleetError
+from stream.scheduling import threads_waiting_for_turn, wait_for_turn
 from stream.security.credentials import BusSecurity, Credentials, process_security
 from stream.security.endpoint import DEFAULT_ENDPOINT as DEFAULT_ENDPOINT
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
@@ -102,7 +103,8 @@ class ZenohBus(Closing):
         try:
             for key, value in settings.items():
                 config.insert_json5(key, json.dumps(value))
-            self._session = zenoh.open(config)
+            with threads_waiting_for_turn():
+                self._session = zenoh.open(config)
         except zenoh.ZError as error:
             wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])
             asked = "is the address right and free, and the other side running?"
@@ -189,6 +191,7 @@ class ZenohBus(Closing):
         channel = subscriber.handler
 
         def take() -> None:
+            wait_for_turn()
             for first in channel:
                 # all that is there, without waiting or switching threads in between
                 sample: zenoh.Sample | None = first
