@@ -13,6 +13,7 @@ from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
+from stream.scheduling import wait_for_turn
 from stream.security.proof import credentials_of
 from stream.status.proven_status import on_bus
 from stream.status.reporter import StatusReporter
@@ -175,6 +176,7 @@ class EstimationWorker(Closing):
         return False
 
     def _loop(self) -> None:
+        wait_for_turn()
         try:
             if self._log is not None:
                 self._known = Identities(self._log.published(self._estimation.positions))
