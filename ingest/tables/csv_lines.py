@@ -3,7 +3,6 @@
 Reading them one by one is slow, and exact about which cell of which line is wrong.
 """
 
-import csv
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,16 +12,14 @@ from itertools import accumulate
 import numpy as np
 
 from ingest.tables.columns import Columns, TimeColumn
-from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
+from ingest.tables.csv_header import DELIMITERS, BadCell, cells_of, header_place, is_row, split_line, with_units
+from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
-from ingest.tables.timing.dated_clocks import is_clock, is_date, joined
-from ingest.tables.units import is_same_unit, is_unit
+from ingest.tables.timing.dated_clocks import joined
 from stream.batch import FloatArray
-from stream.errors import BadInput
 
 COMMENT = re.compile(rb"(?m)^#[^\n]*")
 
-_DELIMITERS = "\t;,"
 # names the delimiter, for Excel
 _NAMED_DELIMITER = re.compile(r'"?sep=([\t;,])"?', re.IGNORECASE)
 _BLANKS = re.compile(rb"[ \t]+")
@@ -30,7 +27,6 @@ _MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
 _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 _BLANK = " \t"
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
-_MOST_BEFORE_ROWS = 100  # lines that may stand before the first row of numbers
 _HUNDREDS = re.compile(r"[+-]?[1-9][0-9]{2}")
 _RANGE = "a time within 146 years of 1970 (or of the run's start)"
 
@@ -112,11 +108,11 @@ class Dialect:
         >>> found.is_cut("0.2,1.7"), found.is_cut("0.2,1.75")
         (True, False)
         """
-        cells = _cells(line, self.delimiter)
+        cells = cells_of(line, self.delimiter)
         if len(cells) != len(self.titles):
             return False  # refused as any such line
         sample = self.sample[:-1] if self.sample[-1:] == (line,) else self.sample
-        rows = (_cells(each, self.delimiter) for each in sample)
+        rows = (cells_of(each, self.delimiter) for each in sample)
         above = {_decimals(row[-1]) for row in rows if len(row) == len(cells)}
         if len(above) != 1 or above <= {None, 0}:
             return None if NUMBER.fullmatch(cells[-1].replace(",", ".")) else False
@@ -124,7 +120,7 @@ class Dialect:
 
     def _sample_cells(self) -> Iterator[tuple[str, ...]]:
         """Cells of the first rows, each taken apart when it is asked for: most questions end with the first."""
-        return filter(None, (_cells(text, self.delimiter) for text in self.sample))
+        return filter(None, (cells_of(text, self.delimiter) for text in self.sample))
 
 
 def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
@@ -141,25 +137,25 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     if named:
         lines = [("", lines[0][1]), *lines[1:]]
     written = [i for i, (text, _) in enumerate(lines) if text[:1] != "#" and text.strip()]
-    header_at, units_at = _header_place(lines, written)
+    header_at, units_at = header_place(lines, written)
     header = lines[header_at][0]
     preamble = tuple(lines[i][0].strip() for i in written if i < header_at)
     comments = [i for i in range(header_at) if lines[i][0].startswith("#")]
     rows_at, is_header_comment = (header_at if units_at is None else units_at) + 1, False
-    if comments and _is_row(header):
+    if comments and is_row(header):
         title_line = lines[comments[-1]][0].lstrip("# \t")
-        if title_line and not _is_row(title_line):
+        if title_line and not is_row(title_line):
             header, rows_at, is_header_comment = title_line, header_at, True
             comments.pop()
     rows = tuple(lines[i][0] for i in written if i >= rows_at)
-    delimiter = named[1] if named else max(_DELIMITERS, key=header.count)
+    delimiter = named[1] if named else max(DELIMITERS, key=header.count)
     titles = tuple(title.strip() for title in split_line(header, delimiter))
-    if not any(mark in header for mark in _DELIMITERS) and rows and len(rows[0].split()) > 1:
+    if not any(mark in header for mark in DELIMITERS) and rows and len(rows[0].split()) > 1:
         by_blanks = tuple(title.strip() for title in _BLANK_TITLE.findall(header))
         if len(by_blanks) == len(rows[0].split()) and not any(mark in rows[0] for mark in "\t;"):
             delimiter, titles = " ", by_blanks
     if units_at is not None and len(units := split_line(lines[units_at][0], delimiter)) == len(titles):
-        titles = _with_units(titles, units)
+        titles = with_units(titles, units)
     elif units_at is not None:  # it has other cells than titles: a row, which is not right
         rows_at = units_at
         units_at = None
@@ -196,59 +192,6 @@ def usual_lines(begin: bytes, rows: int, *, is_whole: bool) -> list[tuple[str, i
     return list(zip(texts[:most], ends[:most], strict=True))
 
 
-def _header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tuple[int, int | None]:
-    """Place of the header, and of a line with the units below it, among the lines that are no comments.
-
-    It is the first of them, but where the first row of numbers has other cells than that: then the last before the
-    row that has as many.
-
-    >>> _header_place([("Logger 7", 9), ("", 10), ("t,rate", 17), ("s,deg/s", 25), ("0,1.5", 31)], [0, 2, 3, 4])
-    (2, 3)
-    """
-    first = next((at for at, i in enumerate(written[:_MOST_BEFORE_ROWS]) if _is_row(lines[i][0])), 0)
-    if first < 2:
-        return written[0], None
-    row = lines[written[first]][0]
-    # a comma may be that of decimals, the others are in no number
-    delimiter = next((mark for mark in _DELIMITERS if mark != "," and mark in row), ",")
-    if delimiter not in row:
-        return written[0], None
-    width = len(_cells(row, delimiter))
-    alike = [at for at in range(first) if len(_cells(lines[written[at]][0], delimiter)) == width]
-    if not alike or alike[-1] != first - 1:
-        return written[0], None
-    above = _cells(lines[written[first - 1]][0], delimiter)
-    has_units = len(alike) > 1 and alike[-2] == first - 2 and any(above) and all(map(_is_unit_cell, above))
-    header = first - 1 - has_units
-    titles = _cells(lines[written[header]][0], delimiter)
-    if header and ("[" in lines[written[0]][0] or any(_is_row(cell) or not cell for cell in titles)):
-        return written[0], None  # the first line has titles, and rows below it are not right
-    if alike[0] < header:
-        return written[0], None
-    return written[header], written[first - 1] if has_units else None
-
-
-def _is_unit_cell(cell: str) -> bool:
-    return not cell or is_unit(_bare_unit(cell))
-
-
-def _bare_unit(cell: str) -> str:
-    return cell.strip(_BLANK).strip("[]()（）").strip()
-
-
-def _with_units(titles: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
-    """Titles with the unit below them, where they have none themselves; BadInput where both have one, and another."""
-    for title, unit in zip(titles, units, strict=True):
-        own = re.search(r"[(\[（]([^()\[\]（）]*)[)\]）]$", title)
-        below = _bare_unit(unit)
-        if own is not None and below and is_unit(own[1]) and not is_same_unit(own[1], below):
-            raise BadInput(f"title {title!r} and the line below it, {unit!r}, name two units; keep the right one")
-    return tuple(
-        title if not _bare_unit(unit) or title.endswith((")", "]", "）")) else f"{title} ({_bare_unit(unit)})"
-        for title, unit in zip(titles, units, strict=True)
-    )
-
-
 def is_gb18030(text: bytes) -> bool:
     """Whether text is likely Chinese in GB18030 or GBK: most of its characters are common ones, those of GB 2312.
 
@@ -268,29 +211,10 @@ def without_blanks(block: bytes) -> bytes:
     return _MARGINS.sub(b"", _BLANKS.sub(b" ", block))
 
 
-def _is_row(line: str) -> bool:
-    cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
-    cells = [
-        part for cell in cells for part in ([cell] if match_stamp(cell) or is_clock(cell) else re.split("[, ]+", cell))
-    ]
-    has_date = any(map(is_date, cells))  # without one a time of day stands in the lines before a header
-    return bool(cells) and all(
-        match_stamp(cell) or NUMBER.fullmatch(cell) or (has_date and is_clock(cell)) for cell in cells
-    )
-
-
 def _decimals(cell: str) -> int | None:
     """Digits behind the decimal mark of a number; None where it has an exponent or is none."""
     found = re.fullmatch(r"[+-]?[0-9]+(?:[.,]([0-9]*))?", cell)
     return None if found is None else len(found[1] or "")
-
-
-def _cells(line: str, delimiter: str) -> tuple[str, ...]:
-    try:
-        cells = line.split() if delimiter == " " else split_line(line, delimiter)
-    except BadInput:
-        return ()
-    return tuple(cell.strip(" \t") for cell in cells)
 
 
 class LineReader:
@@ -322,7 +246,7 @@ class LineReader:
             cells: dict[str, str] = {}
             try:
                 cells = dict(zip(self._titles, self._cells(text), strict=True))
-            except _BadCell as bad:
+            except BadCell as bad:
                 sieve.refuse_one(row, bad.in_line(number))
             for title, cell in cells.items():
                 try:
@@ -332,7 +256,7 @@ class LineReader:
                         times_ns[row] = self._time_ns(title, cell.strip(_BLANK), cells)
                     elif title in values and cell.strip(_BLANK):
                         values[title][row] = self._finite(title, cell.strip(_BLANK))
-                except _BadCell as bad:
+                except BadCell as bad:
                     sieve.refuse_one(row, bad.in_line(number))
         numbers = np.array([number for number, _ in lines], np.int64)
         written_ns = None if self._columns.time is None else times_ns
@@ -354,7 +278,7 @@ class LineReader:
             if len(cells) == len(self._titles) + 1 and not cells[-1].strip(_BLANK):
                 hint = " (a delimiter at the end of the line? remove it, or give the header one)"
             noun = "cell" if len(cells) == 1 else "cells"
-            raise _BadCell("", f"{len(cells)} {noun}", f"{len(self._titles)} as in the header{hint}")
+            raise BadCell("", f"{len(cells)} {noun}", f"{len(self._titles)} as in the header{hint}")
         return cells
 
     def _time_ns(self, title: str, text: str, cells: Mapping[str, str]) -> int:
@@ -363,18 +287,18 @@ class LineReader:
         if time.is_stamp:
             text = _stamp_text(time, cells)
             if time.date_title is not None and not cells.get(time.date_title, "").strip(_BLANK):
-                raise _BadCell(time.date_title, "", "a date in each row, like 2026-11-21")
+                raise BadCell(time.date_title, "", "a date in each row, like 2026-11-21")
             stamp = match_stamp(text)
             if stamp is not None and self.has_zone not in (None, stamp["zone"] is not None):
                 which = "with a zone" if self.has_zone else "without a zone"
-                raise _BadCell(title, text, f"a time stamp {which}, as in the first row")
+                raise BadCell(title, text, f"a time stamp {which}, as in the first row")
             if stamp is None:
-                raise _BadCell(title, text, "a time stamp, like 2026-11-21T18:00:00.5Z")
+                raise BadCell(title, text, "a time stamp, like 2026-11-21T18:00:00.5Z")
             found, expected = ns_from_stamp(text, self._time_zone), "a moment that exists, within 146 years of 1970"
         else:
             found, expected = ns_from_text(self._number(title, text, "a time"), time.ns_per_unit), _RANGE
         if found is None:
-            raise _BadCell(title, text, expected)
+            raise BadCell(title, text, expected)
         return found
 
     def _number(self, title: str, text: str, what: str) -> str:
@@ -384,15 +308,15 @@ class LineReader:
             return text.replace(mark, ".")
         if NUMBER.fullmatch(text.replace(other, ".", 1)):
             names = ("comma", "point, as in the first rows") if mark == "," else ("point", "comma")
-            raise _BadCell(title, text, f"{what} with a decimal {names[0]}, not a {names[1]}")
-        raise _BadCell(title, text, f"{what}, as a number")
+            raise BadCell(title, text, f"{what} with a decimal {names[0]}, not a {names[1]}")
+        raise BadCell(title, text, f"{what}, as a number")
 
     def _finite(self, title: str, text: str) -> float:
         if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
-            raise _BadCell(title, text, "a finite number (leave the cell empty for no sample)")
+            raise BadCell(title, text, "a finite number (leave the cell empty for no sample)")
         value = float(self._number(title, text, "a value"))
         if not math.isfinite(value):
-            raise _BadCell(title, text, "a number below 1.8e308")
+            raise BadCell(title, text, "a number below 1.8e308")
         return value
 
 
@@ -400,31 +324,6 @@ def _stamp_text(time: TimeColumn, row: Mapping[str, str]) -> str:
     """The time stamp in a row, of one column or two."""
     text = row.get(time.title, "").strip(_BLANK)
     return text if time.date_title is None else joined(row.get(time.date_title, "").strip(_BLANK), text)
-
-
-def split_line(line: str, delimiter: str) -> list[str]:
-    """Take a line apart into cells.
-
-    >>> split_line('1.5;"FOG;1"', ";")
-    ['1.5', 'FOG;1']
-    """
-    if "\r" in line:
-        raise _BadCell("", line, "no carriage return within a line")
-    if '"' not in line:
-        return line.split(delimiter)
-    try:
-        return next(csv.reader([line], delimiter=delimiter, strict=True))
-    except csv.Error as error:
-        raise _BadCell("", line, "cells whose quotes match within the line") from error
-
-
-class _BadCell(BadInput):
-    def __init__(self, column: str, found: str, expected: str) -> None:
-        super().__init__(f"found {found!r}, expected {expected}")
-        self._cell = column, found, expected
-
-    def in_line(self, number: int) -> BadRow:
-        return BadRow("line", number, *self._cell)
 
 
 def _number_cells(values: FloatArray) -> NumberCells:

@@ -80,6 +80,18 @@ def test_lines_before_the_header_are_left_out_and_said(run_command: Callable[...
     assert answer(tmp_path / "s", asked) == [("Temp", "°C", 20), ("gyro_x", "deg/s", 20)]
 
 
+@pytest.mark.parametrize("below", ["", "s;mdps;;\n"], ids=["", "units"])
+def test_lines_before_the_header_are_left_out_of_rows_with_words(tmp_path: Path, below: str) -> None:
+    titles = "Zeit;Rate;Kommentar;step" if below else "time[s];Rate [mdps];Kommentar;step"
+    rows = [f"{i / 10:.1f};{i % 7 / 8:.3f};;static".replace(".", ",") for i in range(20)]
+    path = tmp_path / "log.csv"
+    path.write_text(f"Messprotokoll;Kammer 3\nGeraet;X\n\n{titles}\n{below}" + "\n".join(rows))
+    renames = (("Zeit", "time"), ("Kommentar", "")) if below else (("Kommentar", ""),)
+    summary = TableFile(path, TableOptions(unit="U", renames=renames)).check()
+    assert any("2 lines before the header left out: 'Messprotokoll;Kammer 3'" in each for each in summary.remarks)
+    assert [(each.signal.lower(), each.sampling.samples) for each in summary.signals] == [("rate", 20)]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -1,0 +1,137 @@
+"""Where the header of a text table stands: lines before it, and a line with the units below it."""
+
+import csv
+import re
+from collections.abc import Sequence
+
+from ingest.tables.rows import BadRow
+from ingest.tables.times import NUMBER, match_stamp
+from ingest.tables.timing.dated_clocks import is_clock, is_date
+from ingest.tables.units import is_same_unit, is_unit
+from stream.errors import BadInput
+
+DELIMITERS = "\t;,"
+_MOST_BEFORE_ROWS = 100  # lines that may stand before the first row of numbers
+_ALIKE = 4  # lines with numbers and words in the same columns are rows
+
+
+def header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tuple[int, int | None]:
+    """Place of the header, and of a line with the units below it, among the lines that are no comments.
+
+    It is the first of them, but where the first row of numbers has other cells than that: then the last before the
+    row that has as many.
+
+    >>> header_place([("Logger 7", 9), ("", 10), ("t,rate", 17), ("s,deg/s", 25), ("0,1.5", 31)], [0, 2, 3, 4])
+    (2, 3)
+    """
+    texts = [lines[i][0] for i in written]
+    first = next((at for at, text in enumerate(texts[:_MOST_BEFORE_ROWS]) if is_row(text)), _first_with_words(texts))
+    if first < 2:
+        return written[0], None
+    row = lines[written[first]][0]
+    # a comma may be that of decimals, the others are in no number
+    delimiter = next((mark for mark in DELIMITERS if mark != "," and mark in row), ",")
+    if delimiter not in row:
+        return written[0], None
+    width = len(cells_of(row, delimiter))
+    alike = [at for at in range(first) if len(cells_of(lines[written[at]][0], delimiter)) == width]
+    if not alike or alike[-1] != first - 1:
+        return written[0], None
+    above = cells_of(lines[written[first - 1]][0], delimiter)
+    has_units = len(alike) > 1 and alike[-2] == first - 2 and any(above) and all(map(_is_unit_cell, above))
+    header = first - 1 - has_units
+    titles = cells_of(lines[written[header]][0], delimiter)
+    if header and ("[" in lines[written[0]][0] or any(is_row(cell) or not cell for cell in titles)):
+        return written[0], None  # the first line has titles, and rows below it are not right
+    if alike[0] < header:
+        return written[0], None
+    return written[header], written[first - 1] if has_units else None
+
+
+def _first_with_words(texts: Sequence[str]) -> int:
+    """Place of the first of four lines whose columns have numbers, and words in others; 0 if there are none.
+
+    >>> _first_with_words(["Logger;7", "t;step", "0,0;rest", "0,1;rest", "0,2;rest", "0,3;turn"])
+    2
+    """
+    kinds = [_kinds(text) for text in texts[: _MOST_BEFORE_ROWS + _ALIKE]]
+    for at, kind in enumerate(kinds[: 1 - _ALIKE]):
+        if any(kind) and not all(kind) and all(each == kind for each in kinds[at : at + _ALIKE]):
+            return at
+    return 0
+
+
+def _kinds(text: str) -> tuple[bool, ...]:
+    """Which cells of a line are numbers or time stamps."""
+    delimiter = next((mark for mark in DELIMITERS if mark in text), "")
+    return tuple(is_row(cell) for cell in cells_of(text, delimiter)) if delimiter else ()
+
+
+def _is_unit_cell(cell: str) -> bool:
+    return not cell or is_unit(_bare_unit(cell))
+
+
+def _bare_unit(cell: str) -> str:
+    return cell.strip(" \t").strip("[]()（）").strip()
+
+
+def with_units(titles: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
+    """Titles with the unit below them, where they have none themselves; BadInput where both have one, and another."""
+    for title, unit in zip(titles, units, strict=True):
+        own = re.search(r"[(\[（]([^()\[\]（）]*)[)\]）]$", title)
+        below = _bare_unit(unit)
+        if own is not None and below and is_unit(own[1]) and not is_same_unit(own[1], below):
+            raise BadInput(f"title {title!r} and the line below it, {unit!r}, name two units; keep the right one")
+    return tuple(
+        title if not _bare_unit(unit) or title.endswith((")", "]", "）")) else f"{title} ({_bare_unit(unit)})"
+        for title, unit in zip(titles, units, strict=True)
+    )
+
+
+def is_row(line: str) -> bool:
+    """Whether a line consists of numbers, time stamps, and times of day beside a date."""
+    cells = [cell.strip(' "') for cell in re.split("[\t;]|,(?![0-9])| (?=[-+0-9.]*$)", line) if cell.strip(' "')]
+    cells = [
+        part for cell in cells for part in ([cell] if match_stamp(cell) or is_clock(cell) else re.split("[, ]+", cell))
+    ]
+    has_date = any(map(is_date, cells))  # without one a time of day stands in the lines before a header
+    return bool(cells) and all(
+        match_stamp(cell) or NUMBER.fullmatch(cell) or (has_date and is_clock(cell)) for cell in cells
+    )
+
+
+def cells_of(line: str, delimiter: str) -> tuple[str, ...]:
+    """Cells of a line; none if its quotes do not match."""
+    try:
+        cells = line.split() if delimiter == " " else split_line(line, delimiter)
+    except BadInput:
+        return ()
+    return tuple(cell.strip(" \t") for cell in cells)
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Take a line apart into cells.
+
+    >>> split_line('1.5;"FOG;1"', ";")
+    ['1.5', 'FOG;1']
+    """
+    if "\r" in line:
+        raise BadCell("", line, "no carriage return within a line")
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        raise BadCell("", line, "cells whose quotes match within the line") from error
+
+
+class BadCell(BadInput):
+    """A cell that keeps no contract: its column, what was found, and what was expected."""
+
+    def __init__(self, column: str, found: str, expected: str) -> None:
+        super().__init__(f"found {found!r}, expected {expected}")
+        self._cell = column, found, expected
+
+    def in_line(self, number: int) -> BadRow:
+        """The row with its number."""
+        return BadRow("line", number, *self._cell)
