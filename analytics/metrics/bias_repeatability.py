@@ -128,7 +128,8 @@ def _remark(durations: Sequence[float], counted_by: Sequence[str], stations: str
         remarks.append(f"{some}: the clauses ask for an hour as a rule")
     if assumed := [each for each in counted_by if each != "power-on"]:
         kinds = " or ".join(sorted(set(assumed)))
-        remarks.append(f"{len(assumed)} power-ons are not recorded: each {kinds} is taken for one")
+        counted = "1 power-on is" if len(assumed) == 1 else f"{len(assumed)} power-ons are"
+        remarks.append(f"{counted} not recorded: each {kinds} is taken for one")
     return "; ".join(remarks) or None
 
 

@@ -13,14 +13,16 @@
 -- influence: voltage: per_ppm_of_voltage(value, volt)
 -- python:    analytics.metrics.bias_repeatability:compute
 -- of:        internal.still_steps where not turns
--- A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
+-- A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test. A run
+-- of one power-on is none where there are more: it is in the test of all runs.
 with counted as (
   select *,
     count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
+    count(*) over (partition by unit, signal, position, earth_rate) as in_all,
     bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
   from internal.bias_power_ons
 ), scoped as (
-  select *, run as scope from counted where is_test or in_run > 1
+  select *, run as scope from counted where in_run > 1 or (is_test and in_all = 1)
   union all
   select *, null as scope from counted
 ), listed as (

@@ -105,6 +105,7 @@ def test_raw_and_corrected_biases_are_never_in_one_repeatability(recorded: Recor
     unknown = [{**row, "unit": "U2", "latitude_deg": None if at == 0 else 40.0} for at, row in enumerate(rows)]
     east = [{**row, "unit": "U3", "latitude_deg": None, "position": "IRA_east"} for row in rows]
     found = recorded([*rows, *unknown, *east], "bias_repeatability")
+    assert {row["run"] for row in found if row["unit"] == "U1"} == {None}, "a run of one power-on is no test of its own"
     found = [row for row in found if row["kind"] == "all" and row["run"] is None]
     whole = float(np.std(np.arange(6.0), ddof=1))
     assert one(found, unit="U1")["value"] == pytest.approx(whole)
