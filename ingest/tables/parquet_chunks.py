@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ingest.tables.columns import Columns
+from ingest.tables.parquet_pages import check_pages
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers, ns_from_timestamps
 from ingest.tables.units import COUNT_UNITS
@@ -32,6 +33,7 @@ class ParquetTable:
             with self._open() as file:
                 schema: pa.Schema = file.schema_arrow
                 self._rows: int = file.metadata.num_rows
+                check_pages(path, file.metadata)
             self.titles = tuple(str(name) for name in schema.names)
             self._types = {name: _plain(schema.field(i).type) for i, name in enumerate(self.titles)}
         except Exception as error:  # the decoder raises whatever a damaged file makes it meet

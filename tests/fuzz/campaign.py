@@ -28,6 +28,7 @@ FOUND = Path(__file__).parent / "found"
 _MOST_CORPUS = 400
 _KILL_S = 60.0
 _LEAST_NEW = 3
+_BEGIN_AGAIN = 75  # of a guided process whose fuzzer has taken much memory
 
 
 class Campaign:
@@ -132,7 +133,10 @@ def tried_guided(name: str, arguments: argparse.Namespace) -> Any:
         env = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
         seconds = 20 * arguments.seconds + 5 * _KILL_S  # `arguments.seconds` are processor time there
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=env)
+            while True:
+                done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=env)
+                if done.returncode != _BEGIN_AGAIN:
+                    break
             lines = [line for line in done.stderr.splitlines() if not line.startswith(("INFO: ", "WARNING: Failed"))]
             print("\n".join(lines), file=sys.stderr, end="\n" if lines else "", flush=True)
             what = "" if done.returncode == 0 else f"the process ended with {done.returncode}"

@@ -4,6 +4,9 @@
 shorten a campaign. The folder keeps the result and the inputs that reached new branches; a campaign that was ended
 early continues there, and its seconds count.
 
+Atheris and libFuzzer keep about the size of each input that they tried: before that takes the memory which trials need,
+the process ends with `BEGIN_AGAIN`, and is to be started once more.
+
 Atheris instruments the project and the readers in Python that it uses; libFuzzer keeps inputs that reach new branches,
 and mutates them by the format's own mutations. `tests.fuzz.campaign --guided` starts it.
 """
@@ -11,6 +14,7 @@ and mutates them by the format's own mutations. `tests.fuzz.campaign --guided` s
 import json
 import os
 import random
+import resource
 import shutil
 import sys
 import time
@@ -19,7 +23,9 @@ from typing import Any
 
 import atheris
 
-_CORPUS_BYTES = 4 << 30  # libFuzzer keeps thousands of inputs of up to a megabyte
+_CORPUS_BYTES = 4 << 30  # room for what the fuzzer keeps
+_MOST_KEPT = _CORPUS_BYTES // 2
+BEGIN_AGAIN = 75
 _EVERY = 20  # inputs, that the result is written
 _MOST_WAIT = 20  # times the seconds, of the clock
 RESULT = "result.json"
@@ -62,14 +68,21 @@ def main() -> None:
             (folder / "next.json").replace(folder / RESULT)
             if spent_s >= float(seconds):
                 os._exit(0)
+            if resident_bytes() > least_bytes + _MOST_KEPT:
+                os._exit(BEGIN_AGAIN)
 
-    begin = campaign.inputs + kept
+    begin, least_bytes = campaign.inputs + kept, resident_bytes()
     most_s = round(_MOST_WAIT * float(seconds))
     # a continued campaign draws other mutations
     options = [f"-max_total_time={most_s}", "-timeout=0", "-rss_limit_mb=0", f"-seed={int(seed) + before['inputs']}"]
     options += ["-max_len=1048576", "-verbosity=0", "-detect_leaks=0", f"-artifact_prefix={folder}/"]
     atheris.Setup([sys.argv[0], *options, str(corpus)], judge, custom_mutator=mutate)
     atheris.Fuzz()
+
+
+def resident_bytes() -> int:
+    """Memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def load_result(folder: Path) -> dict[str, Any]:
