@@ -141,8 +141,15 @@ def format_value(row: Row) -> str:
     return f"{format_number(row['value'], row['standard_uncertainty'])} {format_unit(row['unit_of_measure'])}".strip()
 
 
+def _check_name(path: Path, option: str, other: str) -> None:
+    """Raise BadInput where the name of a file promises another format."""
+    if path.suffix.lower() == other:
+        raise BadInput(f"{option} {path}: programs expect another format behind {other}; give another name")
+
+
 def write_csv(rows: Sequence[Row], path: Path, language: str) -> None:
     """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need; titles, reasons in the language."""
+    _check_name(path, "--csv", ".xlsx")
     try:
         with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
@@ -161,6 +168,7 @@ def write_xlsx(rows: Sequence[Row], path: Path, language: str) -> None:
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException
 
+    _check_name(path, "--xlsx", ".csv")
     # text stays text: a unit "=1+1" is no formula, a run "http://x" no link
     options = dict.fromkeys(("strings_to_formulas", "strings_to_urls", "strings_to_numbers"), False)
     options["nan_inf_to_errors"] = True

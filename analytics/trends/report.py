@@ -42,6 +42,7 @@ def sentences(trend: Trend) -> list[Words]:
     return [
         _head(trend),
         *_of_products(trend),
+        *_of_order(trend),
         *found,
         *_possible_drifts(trend),
         *_of_repeated(trend),
@@ -104,6 +105,14 @@ def _of_products(trend: Trend) -> Iterator[Words]:
     if len(units) > 1 and trend.by not in {"unit", "product"}:
         counts = [f"{name}: {len(of)}" for name, of in sorted(units.items(), key=lambda each: (-len(each[1]), each[0]))]
         yield words("several_products", n=len(units), parts=listed(counts))
+
+
+def _of_order(trend: Trend) -> Iterator[Words]:
+    """That most values of the charts were measured at the same time as others."""
+    counts = Counter((chart.name, at) for chart in trend.charts for at in chart.series.t_ns.tolist())
+    alike = sum(each for each in counts.values() if each > 1)
+    if 2 * alike > (of := sum(counts.values())):
+        yield words("no_order", n=alike, of=of)
 
 
 def _of_shifts(trend: Trend) -> Iterator[Words]:
@@ -224,7 +233,11 @@ def _nothing(trend: Trend) -> Words:
     compared = sorted({each.group for each in differences})
     if not is_judged and not compared:
         return words("too_little")
-    groups = words("nothing_between", names=joined(map(group_name, compared), ", ", "、")) if compared else NOTHING
+    groups = (
+        words("nothing_between", names=joined(map(group_name, compared), ", ", "、"), s="s" * (len(compared) == 1))
+        if compared
+        else NOTHING
+    )
     beyond = [(chart.counts[0], chart.chance.expected[0]) for chart in trend.charts if chart.chance is not None]
     n, expected = sum(each for each, _ in beyond), sum(each for _, each in beyond)
     outside = words("nothing_beyond", n=n, s="s" * (n > 1), expected=expected) if n else NOTHING
@@ -371,7 +384,7 @@ def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits, charted: 
     indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
     noise = NOTHING
     if found.measurement_share is not None:
-        noise = words("share", share=f"{found.measurement_share * 100:.2g} %")
+        noise = words("share", share=f"{float(f'{found.measurement_share * 100:.2g}'):g} %")
     sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
     return words(
         "capability", n=found.n, of=NOTHING if found.n == found.units else words("values_of", units=found.units),

@@ -117,7 +117,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         judged = (
             [unit for unit, found in limits.units.items() if found.live] if limits.is_live and bus is not None else ()
         )
-        decisions = LimitReport(operator.report, judged)
+        decisions = LimitReport(operator.report, judged, limits.units)
         report = partial(_report, log, len(job.steps), decisions, as_json=as_json)
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")

@@ -57,11 +57,14 @@ _NEVER_NS = 2**63 - 1
 class LimitReport:
     """Reports early decisions and verdicts to the operator; `verdicts` has that of each unit once the run has ended.
 
-    `judged` are the units whose limits an estimator in another process is to judge while they are recorded.
+    `judged` are the units whose limits an estimator in another process is to judge while they are recorded, `units` all
+    limits by unit.
     """
 
-    def __init__(self, report: Callable[[str], None], judged: Collection[str] = ()) -> None:
-        self._report, self._judged = report, frozenset(judged)
+    def __init__(
+        self, report: Callable[[str], None], judged: Collection[str] = (), units: Mapping[str, UnitLimits] = {}
+    ) -> None:
+        self._report, self._judged, self._units = report, frozenset(judged), units
         self._estimate_s: float | None = None  # when an estimate came last, or the record began
         self._decided: set[tuple[str, Limit, str]] = set()
         self._looks: dict[str, dict[Limit, EarlyDecision]] = {}
@@ -140,6 +143,9 @@ class LimitReport:
                 if each.verdict is document.verdict
             ]
             why = f" ({'; '.join(worst)})" if document.verdict is not Verdict.PASS and worst else ""
+            of_unit = self._units.get(document.unit)
+            if of_unit is not None and of_unit.after and document.verdict is not Verdict.FAIL:
+                why += f"; open until the run is judged: {', '.join(of_unit.after)}"
             self._report(f"unit {document.unit}: {document.verdict} by the live limits{why}")
 
 

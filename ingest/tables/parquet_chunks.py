@@ -30,10 +30,10 @@ class ParquetTable:
     def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
         self._path = path
         try:
+            check_pages(path)
             with self._open() as file:
                 schema: pa.Schema = file.schema_arrow
                 self._rows: int = file.metadata.num_rows
-                check_pages(path, file.metadata)
             self.titles = tuple(str(name) for name in schema.names)
             self._types = {name: _plain(schema.field(i).type) for i, name in enumerate(self.titles)}
         except Exception as error:  # the decoder raises whatever a damaged file makes it meet

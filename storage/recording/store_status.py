@@ -48,13 +48,16 @@ def store_status(store: Store) -> StoreStatus:
     reports = [_report(status) for status in read_statuses(store)]
     roles = tuple(each for each in reports if each.condition != "ended" or each.age_s <= _SHOW_ENDED_S)
     has_recorder = any(each.status.role is Role.RECORD and each.condition in {"working", "paused"} for each in roles)
+    # the recorder and the estimators in the process of a run are started with it
+    killed = {(each.status.host, each.status.pid) for each in roles if each.status.run and each.condition == "killed"}
+    own = [each for each in roles if each.status.run or (each.status.host, each.status.pid) not in killed]
     sealed = sealed_segments(store)
     in_lake = read_manifest(store).segments
     waiting = [path for path in sealed if path.stem not in in_lake]
     space = DISK.space(store.folder)
     return StoreStatus(
         store=str(store.folder), at_ns=time.time_ns(), roles=roles, verdicts=_verdicts(roles),
-        troubles=(*(each for role in roles for each in _troubles(role, has_recorder=has_recorder)), *_late(waiting)),
+        troubles=(*(each for role in own for each in _troubles(role, has_recorder=has_recorder)), *_late(waiting)),
         last_message_age_s=min((age for role in roles if (age := _silence_s(role)) is not None), default=None),
         free_bytes=space.free, disk_bytes=space.total, segments=len(sealed), segments_not_in_lake=len(waiting),
         spool_bytes=sum(path.stat().st_size for path in store.folder.glob("spool/**/*") if path.is_file()),

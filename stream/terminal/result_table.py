@@ -61,7 +61,7 @@ class ResultTable(Table):
 
     def _blocks(self, console: Console, options: ConsoleOptions) -> RenderResult:
         headers = [_text(column.header, console) for column in self.columns]
-        indent = max(len(header) for header in headers) + 2
+        indent = max(header.cell_len for header in headers) + 2
         beside = options.max_width - indent >= options.max_width // 2
         if self.title is not None:
             yield _text(self.title, console)
@@ -89,7 +89,7 @@ def _entry(header: Text, text: Text, indent: int | None, console: Console, optio
         yield title
         yield from (Text(" " * _INDENT) + line for line in lines)
     else:
-        title.pad_right(indent - len(title))
+        title.pad_right(indent - title.cell_len)
         yield from ((Text(" " * indent) if at else title) + line for at, line in enumerate(lines))
 
 

@@ -51,6 +51,13 @@ def test_an_empty_cell_takes_no_line_in_a_block() -> None:
     assert printed(40).count("95 % interval") == 1
 
 
+def test_values_beside_chinese_headers_stand_in_one_column() -> None:
+    row = tuple(each + " " + 18 * "y" for each in "一二三")
+    lines = printed(40, [row], ("批次", "规范版本", "reason")).splitlines()
+    columns = {Text(line[: line.index(value)]).cell_len for line in lines for value in "一二三" if value in line}
+    assert columns == {len("规范版本") * 2 + 2}
+
+
 def test_a_table_without_rows_has_its_headers() -> None:
     assert set(HEADERS[0].split()) <= set(printed(200, []).split())
 

@@ -125,13 +125,14 @@ def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
 
 def _chart_table(found: "Trend", language: str) -> ResultTable:
     from analytics.evaluation.table import name_of
-    from analytics.trends.words import NotComputed, figures
+    from analytics.trends.words import NotComputed, figures, group_name
     from stream.quantities import format_unit
 
     unit = format_unit(found.series.unit_of_measure)
     metric = name_of(found.series.metric, language) if language == "zh" else found.series.metric
     table = ResultTable(title=f"{metric} / {unit}" if unit else metric)
-    table.add_column(found.by or "")
+    group = group_name(found.by or "")
+    table.add_column(group.zh if language == "zh" else group.en)
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
     order = sorted(found.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))

@@ -154,16 +154,19 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
     if as_json:
         print_json({"risks": rows})
         return
+    from analytics.trends.words import words
+
     titles = ("lot", "characteristic", "revision", "rule", "accepted", "rejected", "consumer", "producer", "of process")
     table = _table(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
         revision = f"{row['specification']}-{row['revision'] or '?'}"
         process = (row["process_consumer_risk"], row["process_producer_risk"])
+        rule = words(f"rule_{row['decision_rule']}").zh if language == "zh" else row["decision_rule"]
         table.add_row(
             _group_name(row, language, "lot"), _name(row["metric"], language) + of, revision,
-            row["decision_rule"], str(row["accepted"]),
-            str(row["rejected"]), _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
+            rule, str(row["accepted"]), str(row["rejected"]),
+            _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
             "" if None in process else f"{process[0]:.2%} / {process[1]:.2%}",
         )  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 import ingest.station.run_limits as limits_module
 from ingest.run.run_path import TroubleWatch, _listen
 from ingest.station.run_limits import LimitReport
+from storage.specifications.live_limits import UnitLimits
 from stream.delivery.publisher import DurablePublisher
 from stream.events import Verdict, VerdictGiven, encode_event
 from stream.identity import Place, estimate_key, sample_key
@@ -73,3 +74,15 @@ def test_estimates_of_the_runs_own_units_count(until: Callable[..., None]) -> No
         bus.publish(estimate_key(PLACE, "U1", "rate", "verdict"), encode_event(verdict("U1"), "e", 0))
         until(lambda: len(decided) == 1)
         assert len(heard) == 2
+
+
+def test_a_pass_names_the_limits_that_are_judged_after_the_run() -> None:
+    texts: list[str] = []
+    units = {unit: UnitLimits("FOG-A", (), after) for unit, after in (("U1", ("bias",)), ("U2", ()))}
+    decisions = LimitReport(texts.append, (), units)
+    for unit in units:
+        decisions.see(verdict(unit))
+    assert texts == [
+        "unit U1: PASS by the live limits; open until the run is judged: bias",
+        "unit U2: PASS by the live limits",
+    ]

@@ -18,7 +18,7 @@ from storage.recording.store_status import store_status
 from storage.segments.disk import Disk, OpenFile
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher
-from stream.status.role_status import Role, RoleState, RoleStatus, decode_status, encode_status, new_status
+from stream.status.role_status import Role, RoleState, RoleStatus, RunProgress, decode_status, encode_status, new_status
 from stream.transport.bus import LocalBus
 from tests.storage.recorder_samples import KEY, batch
 
@@ -56,6 +56,18 @@ def test_a_clock_that_leaps_changes_nothing(
     found = store_status(store)
     assert [each.condition for each in found.roles] == [condition]
     assert bool(found.troubles) == (condition != "working")
+
+
+def test_what_a_killed_run_had_in_its_process_is_started_with_it(tmp_path: Path) -> None:
+    store, pid = Store.create(tmp_path), dead_process()
+    progress = RunProgress(run="r1", procedure="static_bias", steps=1)
+    for role, run in ((Role.RECORD, None), (Role.ESTIMATE, None), (Role.RUN, progress)):
+        put(store, msgspec.structs.replace(new_status(role, time.time_ns(), name="c", run=run), pid=pid), 11)
+    (trouble,) = store_status(store).troubles
+    assert "(run r1) was killed" in trouble
+    other = new_status(Role.ESTIMATE, time.time_ns(), name="d")
+    put(store, msgspec.structs.replace(other, pid=dead_process()), 11)
+    assert len(store_status(store).troubles) == 2
 
 
 def test_a_computer_whose_clock_is_wrong_is_heard(tmp_path: Path) -> None:
