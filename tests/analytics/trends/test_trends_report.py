@@ -49,6 +49,15 @@ def test_a_station_with_an_offset_is_named_and_sized(reported: Reported, units: 
     assert "差异来自试验台" in chinese
 
 
+@pytest.mark.parametrize("hours", [0, 1])
+def test_values_of_one_time_have_no_order(reported: Reported, hours: int) -> None:
+    rows = one_each(np.random.default_rng(5).normal(0, 1, 20))
+    for at, row in enumerate(rows):
+        row["hour"] = at * hours
+    said = english(trend_of(read_series(reported(rows), "bias")))
+    assert ("20 of 20 values have the time of another one: their order has no meaning" in said) == (hours == 0)
+
+
 @pytest.mark.long
 def test_lot_and_station_together_are_said_to_be_inseparable(reported: Reported) -> None:
     rng = np.random.default_rng(20260742)
