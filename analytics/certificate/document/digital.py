@@ -88,6 +88,10 @@ def _conformity(parent: Element, found: Conformity) -> None:
         _add(statement, "norm", f"{found.specification}, revision {each.revision}")
         _text(_add(statement, "declaration"), each.whole)
         _add(statement, "conformity", each.status)
+    if left := found.not_judged:
+        statement = _add(parent, "statement")
+        _add(statement, "norm", found.specification)
+        _text(_add(statement, "declaration"), Words(f"Not judged here: {left.en}", f"未在此判定：{left.zh}"))
 
 
 def _item(item: Element, content: Content) -> None:

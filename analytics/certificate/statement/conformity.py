@@ -5,6 +5,7 @@ ISO/IEC 17025:2017 7.8.6: to which results it applies, which specifications are 
 
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import msgspec
 from analytics.certificate.statement.results import Result, ResultRow, conditions_of, rounded_to, symbol_of
 from analytics.certificate.statement.words import Words
 from analytics.evaluation.reasons import in_chinese
+from analytics.metric_registry.registry import metrics
 from analytics.specifications.verdicts import values_of
 from storage.sql.catalog import Catalog
 
@@ -124,7 +126,7 @@ class Conformity(NamedTuple):
 
     specification: str
     judged: tuple[Judged, ...] = ()
-    left: tuple[str, ...] = ()  # limits without a result on the certificate
+    left: tuple[Words, ...] = ()  # limits without a result on the certificate
 
     @property
     def revisions(self) -> str:
@@ -133,8 +135,24 @@ class Conformity(NamedTuple):
 
     @property
     def rules(self) -> Sequence[Words]:
-        """The decision rules that were applied, in words."""
-        return [_RULES[each] for each in dict.fromkeys(judged.decision_rule for judged in self.judged)]
+        """The decision rules that were applied, in words; each with its characteristics where there are several."""
+        by_rule: dict[str, dict[Words, None]] = {}
+        for each in self.judged:
+            by_rule.setdefault(each.decision_rule, {})[each.name] = None
+        if len(by_rule) == 1:
+            return [_RULES[each] for each in by_rule]
+        return [
+            Words(
+                f"{', '.join(each.en for each in names)}: {_RULES[rule].en}",
+                f"{'、'.join(each.zh for each in names)}：{_RULES[rule].zh}",
+            )
+            for rule, names in by_rule.items()
+        ]
+
+    @property
+    def not_judged(self) -> Words:
+        """The limits without a result on the certificate, in one line; empty where there are none."""
+        return Words("; ".join(each.en for each in self.left), "；".join(each.zh for each in self.left))
 
 
 def read_conformity(catalog: Catalog, unit: str, specification: str, rows: Iterable[ResultRow]) -> Conformity:
@@ -143,23 +161,41 @@ def read_conformity(catalog: Catalog, unit: str, specification: str, rows: Itera
     Raises BadInput if a specification in the store is not right.
     """
     results = {_key(row.metric, each): (row, each) for row in rows for each in row.results}
-    judged, left = [], dict[str, None]()
+    judged, left = dict[Judged, None](), dict[Words, None]()
     for verdict in values_of(catalog, [unit]):
         if verdict["specification"] != specification:
             continue
         found = results.get(_key_of(verdict))
         if found is None or verdict["verdict"] not in _OUTCOMES:
-            left[verdict["subject"]] = None
+            left[_subject(verdict)] = None
             continue
         row, result = found
         stated = {name: verdict[name] for name in _OF_VERDICT}
-        judged.append(
-            Judged(
-                name=row.name, signal=result.signal, conditions=result.conditions, reason=verdict["reason"] or "",
-                expanded=result.expanded if result.unit_of_measure == verdict["unit_of_measure"] else None, **stated,
-            )
+        one = Judged(
+            name=row.name, signal=result.signal, conditions=result.conditions, reason=verdict["reason"] or "",
+            expanded=result.expanded if result.unit_of_measure == verdict["unit_of_measure"] else None, **stated,
         )  # fmt: skip
+        judged[one] = None  # rows by two standards are one result
     return Conformity(specification, tuple(judged), tuple(left))
+
+
+def _subject(verdict: dict[str, Any]) -> Words:
+    """The characteristic and the settings that a limit is on."""
+    header = metrics()[verdict["metric"]].header if verdict["metric"] in metrics() else None
+    of = verdict["subject"].removeprefix(verdict["metric"])
+    settings = dict(re.findall(r"(\w+) = ([^,()]+)", of))
+    conditions = conditions_of({name: _number(value) for name, value in settings.items()})
+    if header is None:
+        return Words(verdict["subject"], verdict["subject"])
+    ends = (f" ({conditions.en})", f"（{conditions.zh}）") if conditions.en else (of, of)
+    return Words(f"{header.en}{ends[0]}", f"{header.zh}{ends[1]}")
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 _Key = tuple[str, str, tuple[str, ...], str]

@@ -302,8 +302,7 @@ def _conformity(facts: Facts) -> _Filled:
         *(Line(each.label, each.text) for each in found.judged),
     ]
     if found.left:
-        listed = "; ".join(found.left)
-        lines.append(Line(Words("Not judged here", "未在此判定"), Words(listed, listed)))
+        lines.append(Line(Words("Not judged here", "未在此判定"), found.not_judged))
     return lines, []
 
 

@@ -52,7 +52,9 @@ def test_outcome_limits_and_decision_rule_are_stated(
     assert "amultipleofUasitisstated" in text
     assert "guardedacceptance(JCGM106,8.3.2)" in text
     assert "-0.5...0.5°/h:doesnotconform" in text
-    assert "angle_random_walk" in text.partition("Notjudgedhere")[2]
+    left = text.partition("Notjudgedhere")[2]
+    assert "Anglerandomwalk" in left
+    assert "angle_random_walk" not in left
     assert "alltoNIM" in text, "the order states the traceability"
 
 
@@ -61,6 +63,9 @@ def test_the_digital_certificate_has_it(judged: tuple[Path, dict[str, Any]]) -> 
     root = ET.fromstring((folder / "signed.xml").read_bytes())
     found = [each.findtext("dcc:conformity", "", DCC) for each in root.iterfind(".//dcc:statement", DCC)]
     assert sorted(each for each in found if each) == ["fail", "pass"]
+    declared = [each.text or "" for each in root.iterfind(".//dcc:statement/dcc:declaration/dcc:content", DCC)]
+    assert [each for each in declared if each.startswith("Not judged here: Angle random walk")] != []
+    assert [each for each in declared if each.startswith("未在此判定：角度随机游走系数")] != []
 
 
 @pytest.mark.long  # in the gate among other faults of an order
