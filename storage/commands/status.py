@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _EVERY_S = 2.0
 _NAMED = 8
 _CHINESE = {"PASS": "合格", "FAIL": "不合格"}
+_AT_WORK = ("working", "paused")
 
 
 @click.command("status")
@@ -82,7 +83,7 @@ def _show(found: "StoreStatus") -> None:
     if found.roles:
         table = ResultTable("role", "name", "state", "for", "what")
         for role in found.roles:
-            table.add_row(role.status.role, role.status.name, role.condition, _duration(role.works_s), _what(role))
+            table.add_row(role.status.role, role.status.name, role.condition, _since(role), _what(role))
         console.print(table)
     else:
         console.print("nothing is at work on this store")
@@ -103,10 +104,15 @@ def _show(found: "StoreStatus") -> None:
         notes().print(f"trouble: {trouble}", soft_wrap=True, markup=False)
 
 
+def _since(role: "RoleReport") -> str:
+    """For how long a role has worked, or how long ago it ended or was heard last."""
+    return _duration(role.works_s) if role.condition in _AT_WORK else f"{_duration(role.age_s)} ago"
+
+
 def _what(role: "RoleReport") -> str:
     status, run = role.status, role.status.run
     if run is not None:
-        left = "" if run.left_s is None else f", {_duration(run.left_s)} left"
+        left = "" if run.left_s is None else f"{_duration(run.left_s)} left"
         waits = status.numbers.get("outstanding_messages", 0.0)
         waiting = f"; {waits:,.0f} messages not recorded yet" if waits else ""
         judged = run.undecided.keys() | run.verdicts.keys()
@@ -115,8 +121,8 @@ def _what(role: "RoleReport") -> str:
             early += (
                 f"; {len(run.released)} of {len(run.units)} units released, {run.saved_s / 3600:,.1f} unit hours saved"
             )
-        doing = f", {run.doing}{left}" if role.condition in ("working", "paused", "silent") else ""
-        return f"{run.run}: step {run.step} of {run.steps}{doing}{early}{waiting}"
+        doing = [run.doing, left] if role.condition in {*_AT_WORK, "silent"} else []
+        return ", ".join(filter(None, [f"{run.run}: step {run.step} of {run.steps}", *doing])) + early + waiting
     samples = status.numbers.get("samples_total")
     lag_s = status.numbers.get("lag_seconds")
     parts = [] if samples is None else [f"{samples:,.0f} samples"]
