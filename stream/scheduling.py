@@ -20,19 +20,28 @@ def wait_for_turn() -> None:
     Where all processors are busy, a thread that hands messages on then takes several at once, in place of two changes
     of threads for each (``SCHED_BATCH``, sched(7)). Nothing where a processor is idle, or there is no such policy.
     """
-    if sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_OTHER:
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    if sys.platform == "linux":
+        with suppress(OSError):  # where a sandbox refuses it
+            if os.sched_getscheduler(0) == os.SCHED_OTHER:
+                os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 @contextmanager
 def threads_waiting_for_turn() -> Iterator[None]:
     """Threads that a library begins within wait for their turn; this one does as before."""
-    is_usual = sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_OTHER
+    before = _policy()
     wait_for_turn()
     try:
         yield
     finally:
-        if is_usual and sys.platform == "linux":
+        if sys.platform == "linux" and _policy() != before:
             with suppress(OSError):
-                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+                os.sched_setscheduler(0, before, os.sched_param(0))
+
+
+def _policy() -> int:
+    """Scheduling policy of this thread; 0, the usual one, where that is not known."""
+    if sys.platform == "linux":
+        with suppress(OSError):
+            return os.sched_getscheduler(0)
+    return 0
