@@ -27,9 +27,9 @@ _ACTIONS = tuple(each.value for each in RunAction)
 def control(run: str, action: str, reason: str, by: str | None, folder: Path, *, as_json: bool) -> None:
     """Pause, resume or abort the RUN of a procedure that a station on this computer carries out.
 
-    The station answers within some seconds: the exit code is 0 if it obeys, 1 if it refuses, or nobody
-    answers; a command that the station has not taken by then is withdrawn, `abort` after a minute. Command and answer
-    are in `events`.
+    The station answers within some seconds: the exit code is 0 if it obeys, 1 if it refuses, nobody answers, or an
+    instrument could not be made safe; a command that the station has not taken by then is withdrawn, `abort` after a
+    minute. Command and answer are in `events`.
     """
     from storage.recording.run_command import PATIENCE_S, give_command, is_at_work
     from storage.sql.catalog import Catalog
@@ -55,7 +55,7 @@ def control(run: str, action: str, reason: str, by: str | None, folder: Path, *,
     is_obeyed = answer.outcome in {CommandOutcome.ACCEPTED, CommandOutcome.DONE}
     if as_json:
         print_json({"run": run, "action": action, "command": given.command.id, "outcome": answer.outcome.value,
-                    "text": answer.text, "is_logged": given.is_logged})  # fmt: skip
+                    "text": answer.text, "unsafe": answer.unsafe, "is_logged": given.is_logged})  # fmt: skip
     else:
         (results() if is_obeyed else notes()).print(f"{action} {answer.outcome}: {answer.text}", soft_wrap=True)
-    sys.exit(0 if is_obeyed else 1)
+    sys.exit(0 if is_obeyed and not answer.unsafe else 1)

@@ -23,6 +23,7 @@ from ingest.station.bench import StationBench, check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.releases import Release, Releases
+from ingest.station.rest import by_hand
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_commands import RunCommands
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, listed, run_limits
@@ -212,26 +213,29 @@ def _carried_out(
                     instrument.open()
                     stack.callback(instrument.close)
             live.make_safe()
-        why_left += _by_hand(live.unsafe)
+        why_left += by_hand(live.unsafe)
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted" if commands.is_aborted else "stopped")
         return int(commands.is_aborted)
     try:
         live.go(partial(sources.make, log, live.report), sources.samplers(log, live.report))
-    except RunStopped:
-        raise
+    except (RunStopped, InstrumentError) as stopped:
+        raise type(stopped)(f"{stopped}; {live.safety}") from stopped
     except RunAborted as aborted:
-        operator.report(str(aborted))
+        why_left += by_hand(live.unsafe)
+        operator.report(f"{aborted}; {live.safety}")
         commands.finish_abort(live.unsafe)
         commands.end()
         log.end("aborted")
         return 1
-    finally:
-        why_left += _by_hand(live.unsafe)
+    except Exception:
+        why_left += by_hand(live.unsafe)
+        raise
+    why_left += by_hand(live.unsafe)
     commands.end()
     log.end("completed")
-    return len(live.unsafe[:1])  # reported already; whoever waits for the command is to look as well
+    return int(bool(live.unsafe))  # reported already; whoever waits for the command is to look as well
 
 
 def _checked(
@@ -329,10 +333,6 @@ def _by_live_limits(verdicts: Mapping[str, str]) -> str:
         for verdict, units in by_verdict.items()
     )
     return f"; by the live limits {', '.join(named)}"
-
-
-def _by_hand(unsafe: tuple[str, ...]) -> list[str]:
-    return [f"{', '.join(unsafe)} could not be made safe; make it safe by hand"] if unsafe else []
 
 
 def _leave(why: str, path: RunPath, stop: Stop, report: Callable[[str, str], None]) -> int:

@@ -29,6 +29,13 @@ class Reading(NamedTuple):
     value: float
 
 
+class Moving(NamedTuple):
+    """What an instrument that was made safe still does: how far it is from rest, and a sentence."""
+
+    left: float
+    text: str
+
+
 class Options(Standard, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of every instrument's table in `station.toml`, with what is stated of it; subclasses add their own."""
 
@@ -84,6 +91,10 @@ class Instrument(ABC):
 
     def make_safe(self) -> None:  # noqa: B027  most are always safe
         """Bring it to a state in which it can be left alone: a table at rest, a chamber at room temperature."""
+
+    def moving(self) -> Moving | None:
+        """What is measured to go on after `make_safe`, as a table that turns; None at rest, or if not measured."""
+        return None
 
     def __enter__(self) -> Self:
         self.open()

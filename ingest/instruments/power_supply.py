@@ -2,9 +2,12 @@
 
 from types import MappingProxyType
 
+from ingest.instruments.base import Moving
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from stream.errors import BadInput
+
+UNPOWERED_V = 0.5  # below it nothing has power
 
 
 class PowerSupplyOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -57,3 +60,10 @@ class PowerSupply(ScpiInstrument):
     def make_safe(self) -> None:
         """Switch its output off."""
         self.set("output", 0.0)
+
+    def moving(self) -> Moving | None:
+        """A voltage that is still measured."""
+        voltage_v = self._read("voltage").value if self._text("voltage") else 0.0
+        if abs(voltage_v) < UNPOWERED_V:
+            return None
+        return Moving(abs(voltage_v), f"output is commanded off, {voltage_v:.4g} V measured")

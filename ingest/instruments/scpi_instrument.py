@@ -7,11 +7,11 @@ from typing import Any, ClassVar
 
 from msgspec.structs import asdict
 
-from ingest.instruments.base import NOTHING, Instrument, Reading
+from ingest.instruments.base import NOTHING, Instrument, Moving, Reading
 from ingest.instruments.scpi import NUMBER, ScpiConnection, ScpiOptions, UnusableAnswer, checked_pattern
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
-from stream.quantities import check_unit
+from stream.quantities import check_unit, is_angular_rate
 
 
 class Settling:
@@ -33,7 +33,7 @@ class Settling:
     def __init__(self, target: float, band: float, stable_s: float) -> None:
         if not (band >= 0.0 and stable_s >= 0.0):
             raise BadInput(f"settled within {band} for {stable_s} s: neither can be negative")
-        self._target, self._band = target, band
+        self._target, self.band = target, band
         self._stable_ns = round(stable_s * 1e9)
         self._since_ns: int | None = None
         self._has_settled = False
@@ -43,8 +43,8 @@ class Settling:
     def update(self, t_ns: int, value: float) -> bool:
         """Take a measurement; whether it is settled."""
         self._measured = value
-        self._far = 0 if abs(value - self._target) <= 2.0 * self._band else self._far + 1
-        if not abs(value - self._target) <= self._band:
+        self._far = 0 if abs(value - self._target) <= 2.0 * self.band else self._far + 1
+        if not abs(value - self._target) <= self.band:
             self._since_ns = None
             return False
         self._since_ns = t_ns if self._since_ns is None else self._since_ns
@@ -60,10 +60,11 @@ class Settling:
     def text(self, unit: str) -> str:
         """What is measured and what is set."""
         measured = "nothing" if math.isnan(self._measured) else f"{self._measured:.6g} {unit}"
-        return f"{measured} measured, {self._target:g} +-{self._band:g} {unit} set"
+        return f"{measured} measured, {self._target:g} +-{self.band:g} {unit} set"
 
 
 _FAR_IN_A_ROW = 3
+_REST = 1e-3  # of the largest rate: a table's rate at rest, where twice its band is less
 _RECONNECTED_IN_A_ROW = 3
 _ABSOLUTE_ZERO_DEG_C = -273.15
 
@@ -159,6 +160,15 @@ class ScpiInstrument(Instrument):
             raise InstrumentError(f"{self.who}: {what} was never set, so it cannot be settled; set it first")
         reading = self._read(self._settled_by[what])
         return self._settling[what].update(reading.t_ns, reading.value)
+
+    def moving(self) -> Moving | None:
+        """The first angular rate that can be set and is measured not to be at rest."""
+        rates = (what for what, unit in self.settings.items() if is_angular_rate(unit) and what in self._settled_by)
+        for what in (each for each in rates if self._text(self._settled_by[each])):
+            value, unit = self._read(self._settled_by[what]).value, self.settings[what]
+            if not abs(value) <= max(2.0 * self.settling(what, 0.0).band, _REST * self.limits(what)[1]):
+                return Moving(abs(value), f"{what} is commanded to 0 {unit}, {value:.4g} {unit} measured")
+        return None
 
     def sample(self) -> list[Reading]:
         """Measure every signal once; one whose answer gives no value is in `faults`, the others have theirs.

@@ -3,16 +3,19 @@
 from collections.abc import Collection, Mapping, Sequence
 
 from ingest.instruments.base import Instrument
+from ingest.instruments.power_supply import UNPOWERED_V
 from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from ingest.procedures.procedure import Procedure
+from ingest.station.rest import has_safe_state, still_moving
 from ingest.station.station import Station
 from stream.errors import BadInput, InstrumentError
 
-_UNPOWERED_V = 0.5
-
 
 class StationBench:
-    """Uses a station's instruments; all but `rest` and `supplies` raise InstrumentError where one fails."""
+    """Uses a station's instruments.
+
+    Its methods but `rest`, `not_at_rest` and `supplies` raise InstrumentError where one fails.
+    """
 
     def __init__(self, station: Station, instruments: Mapping[str, Instrument]) -> None:
         self._station, self._instruments = station, instruments
@@ -30,12 +33,17 @@ class StationBench:
                 troubles[name] = str(error)
         return troubles
 
+    def not_at_rest(self, but: Collection[str]) -> dict[str, str]:
+        """Wait until what was made safe is measured at rest; what is not, by instrument, but for those named."""
+        safe = {name: each for name, each in self._instruments.items() if name not in but and has_safe_state(each)}
+        return {name: trouble for name, each in safe.items() if (trouble := still_moving(each))}
+
     def is_dead(self, but: Collection[str] = ()) -> bool:
         """Whether a supply of the units measures no voltage; not asked of some supplies."""
         for name in (each for each in self.supplies() if each not in but):
             with self._instruments[name].lock:
                 readings = self._instruments[name].sample()
-            if any(each.signal == "supply_voltage" and abs(each.value) < _UNPOWERED_V for each in readings):
+            if any(each.signal == "supply_voltage" and abs(each.value) < UNPOWERED_V for each in readings):
                 return True
         return False
 
@@ -91,8 +99,7 @@ class StationBench:
 
     def left_as_they_are(self) -> list[str]:
         """Instruments with settings that nothing brings to a safe state."""
-        default = Instrument.make_safe
-        return [name for name, each in self._instruments.items() if each.settings and type(each).make_safe is default]
+        return [name for name, each in self._instruments.items() if each.settings and not has_safe_state(each)]
 
     def _settling_of(self, what: str) -> tuple[Settling | None, str]:
         instrument = self._instruments[self._station.settings[what]]

@@ -10,6 +10,7 @@ from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
 from ingest.station.releases import Releases
+from ingest.station.rest import by_hand
 from ingest.station.run_limits import listed
 from ingest.station.run_log import RunLog
 from ingest.station.station import Station
@@ -56,7 +57,7 @@ class RunStopped(RunAborted):
 
 
 class StationRun:
-    """Carries out the remaining steps of a procedure; `unsafe` are instruments that could not be made safe.
+    """Carries out the remaining steps of a procedure; `unsafe` has why instruments could not be made safe.
 
     With `releases` units are released once their limits are decided. `on_record` is called with the time, nanoseconds,
     from which a record counts.
@@ -74,7 +75,7 @@ class StationRun:
         self._is_set_up = False
         self._silent: dict[str, float] = {}
         self._look_for_silence_s = 0.0
-        self.unsafe: tuple[str, ...] = ()
+        self.unsafe: Mapping[str, str] = {}
 
     def report(self, text: str) -> None:
         """Note a report of a source or instrument in the run, and show it to the operator; from any thread."""
@@ -107,22 +108,29 @@ class StationRun:
             cut_ns = self._clock.now_ns()
             troubles = self._bench.rest()  # before anything is sent, which may have to wait for a recorder
             rest_ns = self._clock.now_ns()
+            self.unsafe = troubles | self._bench.not_at_rest(troubles)
             _stop(active)
             _stop(list(samplers))
             self._log.end_steps(outcome, cut_ns)
-            self._report_rest(troubles, rest_ns)
+            self._report_rest(rest_ns)
 
     def make_safe(self) -> None:
         """Make every instrument safe; failures are reported and stop no other."""
-        self._report_rest(self._bench.rest(), self._clock.now_ns())
+        troubles, rest_ns = self._bench.rest(), self._clock.now_ns()
+        self.unsafe = troubles | self._bench.not_at_rest(troubles)
+        self._report_rest(rest_ns)
 
-    def _report_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
-        self.unsafe = tuple(troubles)
+    @property
+    def safety(self) -> str:
+        """What came of making the station safe."""
+        return "; ".join(by_hand(self.unsafe)) or "the station was made safe"
+
+    def _report_rest(self, rest_ns: int) -> None:
         supplies = self._bench.supplies()
-        if supplies and not any(name in troubles for name in supplies):
+        if supplies and not any(name in self.unsafe for name in supplies):
             self._log.power_off(rest_ns)
-        for name, trouble in troubles.items():
-            self.report(f"warning: {name} could not be made safe: {trouble}; make it safe by hand")
+        for sentence in by_hand(self.unsafe):
+            self.report(f"warning: {sentence}")
 
     def _power_up(self) -> None:
         """Power the units, unless the step that is due begins without power; units that lost it have a new epoch."""
@@ -317,7 +325,7 @@ class StationRun:
                 seen = f" ({more})" if more else ""
                 raise RunStopped(
                     f"run {self._log.state.run}, {self._named(step)}: {doing} is not done after {passed_s:,.0f} s"
-                    f"{seen}{trouble}; the station was made safe"
+                    f"{seen}{trouble}"
                 )
             if more and passed_s > report_s:
                 self.report(f"{self._named(step)}: {doing} for {passed_s / 3600.0:.1f} h: {more}{trouble}")

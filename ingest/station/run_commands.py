@@ -1,9 +1,10 @@
 """Commands that people give to a run from elsewhere: taken, decided, kept in its state, logged and answered."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Protocol
 
+from ingest.station.rest import by_hand
 from ingest.station.run_log import RunLog
 from storage.recording.command_box import BadCommand, CommandAnswer, RunCommand
 from storage.recording.run_command import withdrawal
@@ -89,15 +90,15 @@ class RunCommands(Closing):
                 self._report(f"{command.action} by {command.by} ({command.reason}): {answer.text}")
             self._answer(command.id, answer)
 
-    def finish_abort(self, unsafe: tuple[str, ...]) -> None:
-        """Answer the command that has aborted the run, once the station is safe but for the instruments `unsafe`."""
+    def finish_abort(self, unsafe: Mapping[str, str]) -> None:
+        """Answer the command that has aborted the run; `unsafe` has why instruments could not be made safe."""
         if (command_id := self._log.state.aborted_by) is not None:
-            text, text_zh = "the run is aborted, the station is safe", "试验已中止，试验台处于安全状态"
+            text, text_zh = "the run is aborted, the station was made safe", "试验已中止，试验台已置于安全状态"
             if unsafe:
-                names = ", ".join(unsafe)
-                text = f"the run is aborted; make safe by hand: {names}"
-                text_zh = f"试验已中止；请手动使以下设备处于安全状态：{names}"
-            answer = CommandAnswer(outcome=CommandOutcome.DONE, text=text, text_zh=text_zh)
+                text = f"the run is aborted; {'; '.join(by_hand(unsafe))}"
+                troubles = "；".join(f"{name}（{trouble}）" for name, trouble in unsafe.items())
+                text_zh = f"试验已中止；请手动使以下设备处于安全状态：{troubles}"
+            answer = CommandAnswer(outcome=CommandOutcome.DONE, text=text, text_zh=text_zh, unsafe=tuple(unsafe))
             self._log.complete_command(command_id, answer)
             self._answer(command_id, answer)
 
@@ -136,7 +137,7 @@ class RunCommands(Closing):
                 return _done(f"goes on {at}", f"从{at_zh}继续")
             case RunAction.ABORT:
                 return CommandAnswer(
-                    outcome=CommandOutcome.ACCEPTED, text=f"is aborted {at}; the station is made safe",
+                    outcome=CommandOutcome.ACCEPTED, text=f"is aborted {at}; the station is being made safe",
                     text_zh=f"在{at_zh}中止；正在使试验台处于安全状态",
                 )  # fmt: skip
 

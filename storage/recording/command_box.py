@@ -61,6 +61,7 @@ class CommandAnswer(msgspec.Struct, frozen=True, kw_only=True):
     outcome: CommandOutcome
     text: str
     text_zh: str = ""
+    unsafe: tuple[str, ...] = ()  # instruments that an abort could not make safe
 
     @property
     def is_final(self) -> bool:

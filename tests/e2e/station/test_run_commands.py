@@ -314,6 +314,31 @@ def test_an_abort_that_was_accepted_is_finished_after_a_kill(
 
 
 @pytest.mark.long
+def test_a_table_that_acknowledges_and_goes_on_turning_is_not_called_safe(
+    store: Path, slow: Bench, spawn: Spawn, state: State, kept: Kept, gyrofleet: Gyrofleet
+) -> None:
+    process = spawn(*slow.run("scale_factor", *SHORT))
+    run = at_work(store, state, lambda found: found["step"] >= 2 and found["open_steps"])
+    turning = float(slow.ask("table", "RATE:ACT?"))
+    slow.tell("table", "SIM:FAULT UNSETTLED")
+    try:
+        done = gyrofleet("control", run, "abort", "--reason", "smoke", "--store", "S", "--json")
+        reported, err = slow.ended(process, code=1)
+    finally:
+        slow.tell("table", "SIM:FAULT NONE")
+    assert abs(turning) > 1.0
+    answer = json.loads(done.out)
+    assert (done.code, answer["outcome"], answer["unsafe"]) == (1, "done", ["table"])
+    sentence = f"table could not be made safe: rate is commanded to 0 deg/s, {turning:.0f}"
+    assert answer["text"].startswith(f"the run is aborted; {sentence}")
+    assert f"warning: {sentence}" in err
+    assert "the station is being made safe" in err
+    assert "made safe;" not in err.replace("being made safe", "")
+    assert reported["outcome"] == "aborted"
+    assert [row["text"] for row in kept.rows(COMMANDS) if row["outcome"] == "done"] == [answer["text"]]
+
+
+@pytest.mark.long
 def test_a_command_that_others_can_write_is_not_carried_out(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept
 ) -> None:

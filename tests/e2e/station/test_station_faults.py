@@ -70,6 +70,25 @@ def test_a_chamber_that_never_settles_is_given_up_and_gone_on_with(
 
 
 @pytest.mark.long
+def test_a_run_that_gives_up_a_silent_table_does_not_call_the_station_safe(
+    spawn: Spawn, slow: Bench, state: Callable[..., dict[str, Any]], gyrofleet: Gyrofleet
+) -> None:
+    words = ("--settle-timeout-h", "0.01", "--set", "startup_s=4", "--set", "rate_record_s=40")
+    process = spawn(*slow.run("scale_factor", *words))
+    state(lambda run: run["step"] >= 2 and run["open_steps"])
+    slow.tell("table", "SIM:FAULT SILENT")
+    reported, err = slow.ended(process, code=1)
+    assert reported["event"] == "interrupted"
+    assert "is not done after" in reported["remark"]
+    assert "; table could not be made safe: rate table table at TCPIP" in reported["remark"]
+    assert "make it safe by hand; give the same command to resume" in reported["remark"]
+    assert "was made safe" not in reported["remark"] + err
+    status = gyrofleet("status", "--store", "S", "--json").out
+    assert "table could not be made safe" in status
+    assert "was made safe" not in status
+
+
+@pytest.mark.long
 def test_an_instrument_that_falls_silent_is_reported_once_and_the_run_goes_on(
     gyrofleet: Gyrofleet, kept: Kept, spawn: Spawn, slow: Bench, state: Callable[..., dict[str, Any]]
 ) -> None:

@@ -281,5 +281,5 @@ def test_one_that_never_answers_is_given_up_and_what_could_not_be_made_safe_is_s
         with pytest.raises(RunStopped, match=r"switching off is not done after [\d,]+ s: the bench refuses output"):
             run.go(list)
         assert any("supply could not be made safe" in text for text in operator.said)
-        assert run.unsafe == ("supply",)
+        assert run.safety == "supply could not be made safe: the bench refuses rate; make it safe by hand"
         assert log.state.open_steps == {}
