@@ -1,6 +1,7 @@
 """VISA resources: their names, and what the library under them does not do by itself."""
 
 import difflib
+import errno
 import os
 import re
 import select
@@ -39,6 +40,16 @@ def resource_trouble(resource: str) -> str | None:
     return None
 
 
+def serial_port(resource: str) -> str | None:
+    """The path of the serial port that a resource is; None of others.
+
+    >>> serial_port("ASRL/dev/ttyUSB0::INSTR"), serial_port("ASRL3::INSTR")
+    ('/dev/ttyUSB0', None)
+    """
+    found = re.fullmatch(r"ASRL(\D.*?)(?:::INSTR)?", resource.strip(), re.IGNORECASE)
+    return found and found[1]
+
+
 @cache
 def _manager(backend: str) -> Any:
     """The one manager of a VISA library; the search for vendors' libraries takes a third of a second."""
@@ -73,6 +84,8 @@ class VisaLine:
         self._resource.read_termination, self._resource.write_termination = terminations
         if baud_rate is not None:
             self._resource.baud_rate = baud_rate
+        if hasattr(port := getattr(self._session(), "interface", None), "exclusive"):
+            self._hold(port)
         self._socket = self._raw_socket()
         if self._socket is not None:
             # pyvisa-py takes a refused connection for success, and cannot set its own attribute
@@ -80,6 +93,14 @@ class VisaLine:
                 self._resource.close()
                 raise OSError(refusal, os.strerror(refusal))
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _hold(self, port: Any) -> None:
+        """Have a serial port of pyvisa-py alone; OSError if another process has it."""
+        try:
+            port.exclusive = True
+        except OSError as error:
+            self._resource.close()
+            raise OSError(errno.EBUSY, "the port is in use by another process, as another run") from error
 
     def _raw_socket(self) -> socket.socket | None:
         """The socket under a raw TCP resource of pyvisa-py; None for every other resource."""

@@ -1,9 +1,13 @@
 """A serial port with a gyro: read in a thread, opened again after it was unplugged."""
 
+import errno
+import os
+import stat
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 from uuid import UUID
 
@@ -138,14 +142,30 @@ class SerialLine:
                 port.close()
 
 
+def device_of(port: str) -> str:
+    """What a port is, whichever of its paths names it.
+
+    >>> device_of("/dev/null") == device_of("/dev/../dev/null") != device_of("/dev/zero")
+    True
+    """
+    with suppress(OSError, ValueError):
+        about = Path(port).stat()
+        if stat.S_ISCHR(about.st_mode):
+            return f"{os.major(about.st_rdev)}:{os.minor(about.st_rdev)}"
+    return os.path.realpath(port)
+
+
 def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
-    """Open a serial port of pyserial for frames of a layout; raises InstrumentError if it fails."""
+    """Open a serial port of pyserial for frames of a layout, which no other process may read; else InstrumentError."""
     import serial
 
     try:
         return serial.serial_for_url(
-            address, baud, bytesize=layout.data_bits, parity=layout.parity, stopbits=layout.stop_bits, timeout=_LOOK_S
-        )
+            address, baud, bytesize=layout.data_bits, parity=layout.parity, stopbits=layout.stop_bits, timeout=_LOOK_S,
+            exclusive=True,
+        )  # fmt: skip
     except (OSError, ValueError) as error:  # serial's own errors are OSErrors
+        if isinstance(error, OSError) and error.errno in {errno.EAGAIN, errno.EBUSY}:
+            raise InstrumentError(f"{who}: the port is in use by another process, as another run; end that") from error
         todo = "see that it is plugged in and free"
         raise InstrumentError(f"{who}: the port cannot be opened: {error}; {todo}") from error

@@ -49,8 +49,8 @@ def give_command(
 
     A command that the station has not taken by then is withdrawn, and never carried out; one for a run that has ended,
     with the outcome `ended_as`, is refused. `role` is who writes the log where the station does not. `report` gets a
-    sentence where a command with a longer patience is not taken within the usual one. Raises StoreError if the store's
-    folder cannot be written, or is another user's.
+    sentence where a command with a longer patience is not answered within the usual one. Raises StoreError if the
+    store's folder cannot be written, or is another user's.
     """
     now_ns = time.time_ns()
     command = RunCommand(
@@ -71,8 +71,9 @@ def give_command(
                 return GivenCommand(command, answer, is_logged=True)
             time.sleep(_LOOK_S)
             if report is not None and time.monotonic() > report_s:
-                report(f"the station has not taken the command yet, perhaps it waits for an instrument; the command "
-                       f"stands for {patience_s:g} s; look at the station itself")  # fmt: skip
+                waits = "the station has not taken the command yet, perhaps it waits for an instrument; the command "
+                waits += f"stands for {patience_s:g} s; look at the station itself"
+                report(waits if answer is None else f"the station is still at it: {answer.text}")
                 report = None
         if folder.move(command.id, GIVEN, WITHDRAWN):
             why = _silent(run, patience_s) if folder.is_held else _nobody(store, run)
