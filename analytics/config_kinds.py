@@ -45,6 +45,7 @@ def _station(path: Path) -> str:
     from ingest.station.station import load_station
 
     found = load_station(path)
+    found.make_instruments(found.make_clock())
     station_security(path)
     return f"{counted(len(found.instruments), 'instrument')}, {counted(len(found.slots), 'slot')}"
 

@@ -251,6 +251,7 @@ def _checked(
     found = preflight(
         stack, job.station, job.instruments, sources, folders=folders, now_ns=job.clock.now_ns(), duration_s=duration_s,
         store=destination.folder if is_here else None, recorded_s=recorded_s,
+        waited={what for each in job.steps[at:] for what in each.wait_settled},
     )  # fmt: skip
     if (remark := sources.remark_on(asked.estimated)) is not None:
         found = found._replace(warnings=(*found.warnings, f"warning: {remark}"))
@@ -377,11 +378,15 @@ def _release(release: Release) -> dict[str, object]:
 def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:
     if as_json:
         about = {"procedure": job.procedure.name, "steps": len(job.steps), "instruments": found.instruments}
+        about["measured"] = found.measured
         room = None if found.room is None else found.room._asdict()
         remarks = {"warnings": list(found.warnings), "limits": list(limits.remarks)}
         print_json({"event": "checked", **about, **remarks, "room": room})
         return
-    for line in (*(f"{name}: {identity}" for name, identity in found.instruments.items()), *limits.remarks):
+    for name, identity in found.instruments.items():
+        measured = ", ".join(f"{what} {value}" for what, value in found.measured[name].items())
+        results().print(f"{name}: {identity}{f'; {measured}' if measured else ''}", soft_wrap=True)
+    for line in limits.remarks:
         results().print(line, soft_wrap=True)
     if found.room is not None and found.room.warning is None:
         results().print(f"it takes {found.room}", soft_wrap=True)

@@ -89,6 +89,10 @@ class Instrument(ABC):
         """Measure every signal once."""
         return []
 
+    def try_out(self, settings: Collection[str]) -> list[Reading]:  # noqa: ARG002
+        """Measure every signal, and `settings` that will be waited for, once before a run; `faults` as of `sample`."""
+        return self.sample()
+
     def make_safe(self) -> None:  # noqa: B027  most are always safe
         """Bring it to a state in which it can be left alone: a table at rest, a chamber at room temperature."""
 

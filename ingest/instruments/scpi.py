@@ -47,6 +47,10 @@ class UnusableAnswer(InstrumentError):
     """An answer that gives no value; the connection is in order."""
 
 
+class NoNumber(UnusableAnswer):
+    """An answer that is no number."""
+
+
 class ScpiAnswer(NamedTuple):
     """An answer without its termination."""
 
@@ -110,7 +114,7 @@ class ScpiConnection:
         except (ValueError, TypeError, IndexError):
             value = None
         if value is None:
-            raise UnusableAnswer(
+            raise NoNumber(
                 f"{self.who}: asked {query!r} it answered {_short(answer.text)}, which is not a number; "
                 f"check the query and its answer's pattern in the station file"
             )
@@ -262,12 +266,14 @@ class _ConnectionFailed(InstrumentError):
     """The connection failed, not the instrument: a second attempt may succeed."""
 
 
-def checked_pattern(what: str, pattern: str) -> str:
-    """Return `pattern` if it is a regular expression."""
+def checked_pattern(what: str, pattern: str, *, has_group: bool = False) -> str:
+    """Return `pattern` if it is a regular expression, with a group where one is needed."""
     try:
-        re.compile(pattern)
+        groups = re.compile(pattern).groups
     except re.error as error:
         raise BadInput(f"{what}: {pattern!r} is not a regular expression: {error}") from None
+    if has_group and not groups:
+        raise BadInput(f"{what}: {pattern!r} has no group: put parentheses round the number, as in 'V=(.*) D/S'")
     return pattern
 
 

@@ -1,14 +1,14 @@
 """Base class of SCPI instruments: commands by name, limits, and settling."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from string import Formatter
 from typing import Any, ClassVar
 
 from msgspec.structs import asdict
 
 from ingest.instruments.base import NOTHING, Instrument, Moving, Reading
-from ingest.instruments.scpi import NUMBER, ScpiConnection, ScpiOptions, UnusableAnswer, checked_pattern
+from ingest.instruments.scpi import NUMBER, NoNumber, ScpiConnection, ScpiOptions, UnusableAnswer, checked_pattern
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 from stream.quantities import check_unit, is_angular_rate
@@ -88,7 +88,9 @@ class ScpiInstrument(Instrument):
         self._settled_by = {what: what for what in self.settings if what in self.commands} | dict(self.settled_by)
         self._commands = self._checked_commands(options)
         answers = {name: options.answers.get(name, NUMBER) for name in self.commands}
-        self._patterns = {name: checked_pattern(f"{self.who}: answer {name}", each) for name, each in answers.items()}
+        self._patterns = {
+            name: checked_pattern(f"{self.who}: answer {name}", each, has_group=True) for name, each in answers.items()
+        }
         self._settling: dict[str, Settling] = {}
         self._reconnected = 0  # turns in a row
         self.connection = ScpiConnection(self.who, options, clock, self.prepare)
@@ -161,6 +163,28 @@ class ScpiInstrument(Instrument):
         reading = self._read(self._settled_by[what])
         return self._settling[what].update(reading.t_ns, reading.value)
 
+    def try_out(self, settings: Collection[str]) -> list[Reading]:
+        """Ask each query of a signal, and of `settings` that will be waited for, once; `faults` as of `sample`.
+
+        InstrumentError where answers are no numbers, with all of them, or where one more comes than was asked for.
+        """
+        asked = {query: signal for signal, query in self.measured_by.items() if self._text(query)}
+        for what in (each for each in settings if each in self._settled_by):
+            asked.setdefault(self._settled_by[what], what)
+        readings, faults, wrong = [], dict[str, str](), []
+        for query, what in asked.items():
+            try:
+                readings.append(self._read(query)._replace(signal=what))
+            except NoNumber as error:
+                wrong.append(str(error))
+            except UnusableAnswer as error:
+                faults[what] = str(error)
+        if wrong:
+            raise InstrumentError("; ".join(wrong))
+        self.faults = faults
+        self._check_in_step()
+        return readings
+
     def moving(self) -> Moving | None:
         """The first angular rate that can be set and is measured not to be at rest."""
         rates = (what for what, unit in self.settings.items() if is_angular_rate(unit) and what in self._settled_by)
@@ -178,6 +202,8 @@ class ScpiInstrument(Instrument):
         readings, faults = [], dict[str, str]()
         unasked, reconnects = self.connection.unasked, self.connection.reconnects
         for signal, query in self.measured_by.items():
+            if not self._text(query):
+                continue
             try:
                 reading = self._read(query)
             except UnusableAnswer as error:
@@ -196,8 +222,11 @@ class ScpiInstrument(Instrument):
             raise InstrumentError(next(iter(faults.values())))
         self.faults = faults
         self._note_closing(self.connection.reconnects > reconnects)
-        self.connection.check_in_step(self.clock.computer_s(self.options.sample_interval_s) / 4)
+        self._check_in_step()
         return readings
+
+    def _check_in_step(self) -> None:
+        self.connection.check_in_step(self.clock.computer_s(self.options.sample_interval_s) / 4)
 
     def _note_closing(self, is_reconnected: bool) -> None:
         """Note an instrument that has to be connected again turn by turn."""

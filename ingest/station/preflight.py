@@ -3,7 +3,7 @@
 import ctypes
 import datetime as dt
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -29,22 +29,26 @@ class Preflight(NamedTuple):
     instruments: Mapping[str, str]
     warnings: tuple[str, ...]
     room: RunRoom | None = None  # where the store is on this computer
+    measured: Mapping[str, Mapping[str, str]] = {}  # by instrument and signal, with the unit of measure
 
 
 def preflight(
     stack: ExitStack, station: Station, instruments: Mapping[str, Instrument], sources: StationSources, *,
     folders: Sequence[Path], now_ns: int, duration_s: float, store: Path | None = None, recorded_s: float = 0.0,
-    disk: Disk = DISK,
+    waited: Collection[str] = (), disk: Disk = DISK,
 ) -> Preflight:  # fmt: skip
     """Check instruments, buses, serial lines, disks, clock and calibration dates; all obstacles are reported at once.
 
-    The instruments stay open until the stack is left. `folders` will be written; the clock is compared with the newest
-    run of those that are stores. `store` is to take `recorded_s` seconds of all sources: that its disk has too little
-    room is a warning, as the estimate is rough and room may be made meanwhile. Raises InstrumentError, with every
-    obstacle, if the run could not be recorded.
+    The instruments are asked once for their signals and the settings that are `waited` for, and stay open until the
+    stack is left. `folders` will be written; the clock is compared with the newest run of those that are stores.
+    `store` is to take `recorded_s` seconds of all sources: that its disk has too little room is a warning, as the
+    estimate is rough and room may be made meanwhile. Raises InstrumentError, with every obstacle, if the run could not
+    be recorded.
     """
     stops: list[str] = []
+    warnings: list[str] = []
     found: dict[str, str] = {}
+    measured: dict[str, Mapping[str, str]] = {}
     for name, instrument in instruments.items():
         try:
             found[name] = instrument.open()
@@ -54,9 +58,16 @@ def preflight(
             stops.append(f"{error}{plays if station.table.simulated else ''}")
         else:
             stack.callback(instrument.close)
+            try:
+                measured[name] = _measured(
+                    instrument, [each for each in sorted(waited) if station.settings.get(each) == name]
+                )
+            except InstrumentError as error:
+                stops.append(str(error))
+            warnings += [f"{fault}; {what} has no value now" for what, fault in instrument.faults.items()]
     stops += sources.cannot_be_opened()
     stops += filter(None, [_disk_trouble(folder, disk) for folder in folders])
-    warnings = list(station.overdue(station.day(now_ns), station.day(now_ns + round(duration_s * 1e9))))
+    warnings += station.overdue(station.day(now_ns), station.day(now_ns + round(duration_s * 1e9)))
     if not station.table.simulated:
         stops += filter(None, [_clock_trouble(now_ns, folders)])
         if _clock_state() == _TIME_ERROR:
@@ -74,7 +85,13 @@ def preflight(
     if stops:
         listed = "".join(f"\n- {stop}" for stop in stops)
         raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
-    return Preflight(found, tuple(f"warning: {warning}" for warning in warnings), room)
+    return Preflight(found, tuple(f"warning: {warning}" for warning in warnings), room, measured)
+
+
+def _measured(instrument: Instrument, settings: Sequence[str]) -> dict[str, str]:
+    """What an instrument measures now, with units of measure."""
+    units = {**instrument.settings, **instrument.signals}
+    return {each.signal: f"{each.value:.6g} {units.get(each.signal, '')}" for each in instrument.try_out(settings)}
 
 
 def _disk_trouble(folder: Path, disk: Disk) -> str | None:

@@ -82,5 +82,5 @@ def test_a_port_that_another_process_reads_is_in_use(tmp_path: Path, port: str) 
             chamber.open()
         other.communicate()
     assert found.cannot_be_opened() == []
-    with closing(open_port(port, 115_200, FIXED, "first")), pytest.raises(InstrumentError, match="second: .* in use"):
+    with closing(open_port(port, 115_200, FIXED, "first")), pytest.raises(InstrumentError, match=r"second: .* in use"):
         open_port(port, 115_200, FIXED, "second")  # what this program reads nobody else does
