@@ -105,9 +105,13 @@ class Standard(msgspec.Struct, frozen=True, kw_only=True):
     uncertainty: dict[str, StatedUncertainty] = {}
 
     def check(self) -> None:
-        """Raise BadInput or ValueError if it cannot be meant."""
+        """Raise BadInput if it cannot be meant."""
         if self.calibration_due is not None:
-            dt.date.fromisoformat(self.calibration_due)
+            try:
+                dt.date.fromisoformat(self.calibration_due)
+            except ValueError as error:
+                what = f"calibration_due is {self.calibration_due!r}: {error}"
+                raise BadInput(f"{what}; write it as 2027-03-31") from None
         for quantity, stated in self.uncertainty.items():
             stated.entry(quantity)
 

@@ -84,6 +84,8 @@ class ScpiConnection:
         self.unasked = 0  # lines that came without a query
         if not 0.0 < options.timeout_s <= 600.0:
             raise BadInput(f"{self.who}: timeout_s is {options.timeout_s}: more than 0 and at most 600 s")
+        if options.baud_rate is not None and options.baud_rate <= 0:
+            raise BadInput(f"{self.who}: baud_rate is {options.baud_rate}; it is more than 0 bit/s, such as 9600")
         for name in ("identity", "acknowledgement"):
             checked_pattern(f"{self.who}: {name}", getattr(options, name))
 

@@ -30,6 +30,8 @@ def resource_trouble(resource: str) -> str | None:
         near = difflib.get_close_matches(given, _INTERFACES, n=1)
         hint = f"did you mean {near[0]}?" if near else f"write it as {_EXAMPLES}"
         return f"VISA knows no interface {given!r}, {hint}"
+    if one_colon := re.fullmatch(r"TCPIP\d*::([^:]+):(\d+)(::\w+)?", upper):
+        return f"one colon is before the port, did you mean TCPIP::{one_colon[1].lower()}::{one_colon[2]}::SOCKET?"
     from pyvisa.rname import InvalidResourceName, ResourceName
 
     try:

@@ -155,15 +155,15 @@ def device_of(port: str) -> str:
     return os.path.realpath(port)
 
 
-def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
+def open_port(address: str, baud: int, layout: FrameLayout | None, who: str) -> Any:
     """Open a serial port of pyserial for frames of a layout, which no other process may read; else InstrumentError."""
     import serial
 
+    bits: dict[str, Any] = {}
+    if layout is not None:
+        bits = {"bytesize": layout.data_bits, "parity": layout.parity, "stopbits": layout.stop_bits}
     try:
-        return serial.serial_for_url(
-            address, baud, bytesize=layout.data_bits, parity=layout.parity, stopbits=layout.stop_bits, timeout=_LOOK_S,
-            exclusive=True,
-        )  # fmt: skip
+        return serial.serial_for_url(address, baud, timeout=_LOOK_S, exclusive=True, **bits)
     except (OSError, ValueError) as error:  # serial's own errors are OSErrors
         if isinstance(error, OSError) and error.errno in {errno.EAGAIN, errno.EBUSY}:
             raise InstrumentError(f"{who}: the port is in use by another process, as another run; end that") from error

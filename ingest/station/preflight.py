@@ -75,16 +75,16 @@ def preflight(
                 "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "
                 "`timedatectl set-ntp true` mends it"
             )
-    room = None
-    if store is not None:
-        with suppress(OSError):  # an obstacle already
-            room = run_room(sources.flows(), recorded_s, store, disk)
-            warnings += filter(None, [room.warning])
     if len(stops) == 1:
         raise InstrumentError(stops[0])
     if stops:
         listed = "".join(f"\n- {stop}" for stop in stops)
         raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
+    room = None
+    if store is not None:
+        with suppress(OSError):  # an obstacle already
+            room = run_room(sources.flows(), recorded_s, store, disk)
+            warnings += filter(None, [room.warning])
     return Preflight(found, tuple(f"warning: {warning}" for warning in warnings), room, measured)
 
 

@@ -1,6 +1,7 @@
 """The sources of a station: its buses, serial lines and instruments, each delivering batches of samples."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from uuid import uuid4
 
@@ -14,7 +15,7 @@ from ingest.can.summary import MessageCount
 from ingest.instruments.base import Instrument
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import serial_port
-from ingest.serial.frame_layout import load_layout
+from ingest.serial.frame_layout import FrameLayout, load_layout
 from ingest.serial.serial_line import BATCH_S, SerialLine, device_of, open_port
 from ingest.station.room import Flow
 from ingest.station.run import RunSource
@@ -29,7 +30,10 @@ from stream.worker.estimated_signals import EstimatedSignals
 
 
 class StationSources:
-    """Makes the sources of a run for the tested units; raises BadInput if one has none, or a file is unusable."""
+    """Makes the sources of a run for the tested units; raises BadInput if one has none, or two.
+
+    A mapping, database or layout that is unusable is among what `cannot_be_opened` has: then nothing can be made.
+    """
 
     def __init__(
         self, station: Station, instruments: Mapping[str, Instrument], clock: StationClock, units: tuple[str, ...]
@@ -38,22 +42,35 @@ class StationSources:
         self._units, self._epoch = frozenset(units), uuid4()
         self._lines = {name: line for name, line in station.lines.items() if line.unit in self._units}
         self._plans: dict[str, CanPlan] = {}
+        self._layouts: dict[str, FrameLayout] = {}
+        self._faults: list[str] = []
         for name, bus in station.buses.items():
-            plan = CanMapping(list(map(station.beside, bus.dbc)), station.beside(bus.mapping)).plan()
-            mine = tuple(route for route in plan.routes if route.unit in self._units)
-            self._plans[name] = CanPlan(mine, plan.remarks)
-        self._layouts = {name: load_layout(station.beside(line.layout)) for name, line in station.lines.items()}
+            with self._fault():
+                plan = CanMapping(list(map(station.beside, bus.dbc)), station.beside(bus.mapping)).plan()
+                mine = tuple(route for route in plan.routes if route.unit in self._units)
+                self._plans[name] = CanPlan(mine, plan.remarks)
+        for name, line in station.lines.items():
+            with self._fault():
+                self._layouts[name] = load_layout(station.beside(line.layout))
         self._check_twice()
         self._check_ports()
         known = {unit for plan in self._plans.values() for unit in plan.units}
         known |= {line.unit for line in station.lines.values()}
-        if strangers := sorted(self._units - known):
+        if (strangers := sorted(self._units - known)) and len(self._plans) == len(station.buses):
             raise BadInput(
                 f"no bus or line of station {station.table.name} ({station.path}) has unit {', '.join(strangers)}: add "
                 f"it to a mapping file, or take it out of --units"
             )
         if taken := sorted(self._units & set(instruments)):
             raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
+
+    @contextmanager
+    def _fault(self) -> Iterator[None]:
+        """Note that a file is unusable, once."""
+        try:
+            yield
+        except BadInput as error:
+            self._faults += [str(error)] * (str(error) not in self._faults)
 
     def remark_on(self, estimated: EstimatedSignals) -> str | None:
         """What to say of signals that are to be estimated, and that nothing of the station delivers."""
@@ -122,8 +139,8 @@ class StationSources:
                 )
 
     def cannot_be_opened(self) -> list[str]:
-        """A sentence for each bus and line that cannot be opened now."""
-        found = []
+        """A sentence for each file that is unusable, and each bus and line that cannot be opened now."""
+        found = list(self._faults)
         for name in self._plans:
             try:
                 open_intake(self._station.buses[name].bus, ReceiveClock(self._clock, lambda _: None))[0].close()
@@ -131,7 +148,7 @@ class StationSources:
                 found.append(f"buses.{name} of {self._station.path}: {error}")
         for name, line in self._lines.items():
             try:
-                open_port(line.port, line.baud, self._layouts[name], f"unit {line.unit} at {line.port}").close()
+                open_port(line.port, line.baud, self._layouts.get(name), f"unit {line.unit} at {line.port}").close()
             except InstrumentError as error:
                 found.append(f"lines.{name} of {self._station.path}: {error}")
         return found

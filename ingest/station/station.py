@@ -231,6 +231,9 @@ def load_station(path: Path) -> Station:
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
     _check_resources(path, instruments)
     standards = {name: _standard(path, name, table, instruments) for name, table in file.standards.items()}
+    for name, line in file.lines.items():
+        if line.baud <= 0:
+            raise BadInput(f"{path}: lines.{name}.baud is {line.baud}; it is more than 0 bit/s, such as 115200")
     for name, slot in file.slots.items():
         _check_power(f"{path}: slots.{name}.power is {slot.power!r}", slot.power, instruments)
     return Station(

@@ -75,6 +75,7 @@ def test_options_that_contradict_each_other_are_refused_at_once() -> None:
         (TemperatureChamber, TemperatureChamberOptions(resource="x", band_deg_c=-1.0), "neither can be negative"),
         (RateTable, RateTableOptions(resource="x", max_rate_deg_per_s=-5.0), "is an empty range"),
         (TemperatureChamber, TemperatureChamberOptions(resource="x", answers={"measure": "("}), "answer measure"),
+        (TemperatureChamber, TemperatureChamberOptions(resource="x", baud_rate=0), "baud_rate is 0"),
     ]
     for cls, options, complaint in cases:
         with pytest.raises(BadInput, match=complaint):

@@ -36,6 +36,8 @@ def test_what_a_library_may_know_is_left_to_it(resource: str) -> None:
         ("192.168.1.20:5025", "write it as TCPIP::"),
         ("TCPIP::192.168.1.20::5025::SOKET", "too many parts"),
         ("TCPIP:192.168.1.20:5025:SOCKET", "write it as TCPIP::"),
+        ("TCPIP::192.168.1.20:5025", "did you mean TCPIP::192.168.1.20::5025::SOCKET?"),
+        ("TCPIP0::192.168.1.20:5025::SOCKET", "did you mean TCPIP::192.168.1.20::5025::SOCKET?"),
         (" ", "it is empty"),
     ],
 )

@@ -5,18 +5,20 @@ import subprocess
 import sys
 import tty
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
 
 from ingest.instruments.temperature_chamber import TemperatureChamber, TemperatureChamberOptions
 from ingest.serial.serial_line import open_port
+from ingest.station.preflight import preflight
 from ingest.station.sources import StationSources
 from ingest.station.station import load_station
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 from tests.ingest.instruments.serial_gyros import FIXED
+from tests.ingest.station.test_preflight import SmallDisk
 
 LAYOUT = """
 sync = "AA 55"
@@ -84,3 +86,23 @@ def test_a_port_that_another_process_reads_is_in_use(tmp_path: Path, port: str) 
     assert found.cannot_be_opened() == []
     with closing(open_port(port, 115_200, FIXED, "first")), pytest.raises(InstrumentError, match=r"second: .* in use"):
         open_port(port, 115_200, FIXED, "second")  # what this program reads nobody else does
+
+
+def test_unusable_files_and_ports_are_named_at_once(tmp_path: Path, port: str) -> None:
+    lines = LINE.format(name="L1", port=port, unit="FOG-1"), LINE.format(name="L2", port="/dev/nope", unit="FOG-2")
+    folder = LINE.format(name="L3", port=tmp_path, unit="FOG-3").replace("frames.toml", "nolayout.toml")
+    bus = '\n[buses.can]\ndbc = ["no.dbc"]\nmapping = "no.toml"\nbus = { interface = "virtual", channel = "x" }\n'
+    found = sources(tmp_path, "".join(lines) + folder + bus, ("FOG-1", "FOG-2", "FOG-3", "FOG-4"))
+    mapping, layout, missing, directory = found.cannot_be_opened()
+    assert "no.toml" in mapping
+    assert "nolayout.toml: the layout of the frames cannot be read: No such file or directory" in layout
+    assert "lines.L2 of" in missing
+    assert "No such file or directory" in missing
+    assert "lines.L3 of" in directory
+    stops = r"(?s)4 things stand in the way of the run; .*no\.toml.*nolayout\.toml.*lines\.L2.*lines\.L3"
+    station, clock = load_station(tmp_path / "station.toml"), StationClock()
+    with ExitStack() as stack, pytest.raises(InstrumentError, match=stops):
+        preflight(
+            stack, station, {}, found, folders=[], now_ns=clock.now_ns(), duration_s=60.0, store=tmp_path / "S",
+            disk=SmallDisk(50 << 30),
+        )  # fmt: skip

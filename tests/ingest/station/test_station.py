@@ -61,6 +61,16 @@ def test_a_day_may_stand_without_quotes(folder: Path) -> None:
         ("latitude_deg = 39.9", "latitude_deg = nan", "between -90 and 90"),
         ("sample_interval_s = 5.0", "sample_interval_s = nan", "instruments.table.sample_interval_s is nan"),
         ("sample_interval_s = 5.0", 'calibration_due = "soon"', "instruments.table"),
+        (
+            "sample_interval_s = 5.0",
+            'calibration_due = "2027-13-31"',
+            "instruments.table (a rate_table): calibration_due is '2027-13-31': month must be in 1..12; write it as",
+        ),
+        (
+            "[station]",
+            '[lines.L1]\nport = "x"\nunit = "F"\nlayout = "l.toml"\nbaud = 0\n[station]',
+            "lines.L1.baud is 0; it is more than 0 bit/s",
+        ),
         ('kind = "rate_table"', 'name = "rate_table"', "instruments.table.kind is None"),
         ('name = "bench"', 'name = "a/b"', "station 'a/b' cannot be used as a name"),
     ],
