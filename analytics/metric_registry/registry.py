@@ -17,6 +17,9 @@ _PACKAGE = "analytics.metrics"
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
 _SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")
 
+# which values are the better: `nearer_zero` are those with a sign whose magnitude counts
+BETTER = ("lower", "higher", "nearer_zero", "neither")
+
 
 class MetricError(GyrofleetError):
     """The file of a metric is malformed."""
@@ -56,7 +59,7 @@ class MetricHeader(NamedTuple):
     en: str
     zh: str
     unit: str  # unit of measure of the values
-    better: str  # ``lower``, ``higher`` or ``neither``
+    better: str  # one of `BETTER`
     grain: str  # what one value belongs to, such as ``unit, signal, run``
     parameters: tuple[str, ...]  # names of the values' parameters, which specification limits can select by
     sources: tuple[Clause, ...]  # clauses
@@ -103,8 +106,8 @@ def parse_header(text: str, where: str) -> MetricHeader:
     texts = ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")
     if missing := [name for name in (*texts, "limits", "source") if name not in lines]:
         raise MetricError(f"metric {where}: its header lacks {', '.join(missing)}")
-    if lines["better"] not in {"lower", "higher", "neither"} or lines["limits"] not in set(BoundsSource):
-        raise MetricError(f"metric {where}: better is lower, higher or neither; limits are {', '.join(BoundsSource)}")
+    if lines["better"] not in BETTER or lines["limits"] not in set(BoundsSource):
+        raise MetricError(f"metric {where}: better is {', '.join(BETTER)}; limits are {', '.join(BoundsSource)}")
     sources = []
     for each in lines["source"].split(";"):
         if (match := _SOURCE.fullmatch(each)) is None:

@@ -2,7 +2,7 @@
 -- en:        Misalignment of an attitude unit
 -- zh:        航姿仪失准角
 -- unit:      arcmin
--- better:    neither
+-- better:    nearer_zero
 -- grain:     unit, signal, run, turned axis, rate, repeat
 -- parameters: element, turned_axis, output_axis, rate_deg_per_s, turns, turns_by, radians, repeat, scale_factor
 -- parameters: remark

@@ -2,9 +2,10 @@
 -- en:        Bias acceleration sensitivity
 -- zh:        零偏加速度灵敏度
 -- unit:      deg/h/g
--- better:    lower
+-- better:    nearer_zero
 -- grain:     unit, signal, run, axis, temperature
--- parameters: axis, earth_rate, repeat, temperature_command, remark, scale_factor, earth_rate_unknown, axis_of_largest
+-- parameters: axis, earth_rate, earth_rate_in_it, repeat, temperature_command, remark, scale_factor, earth_rate_unknown
+-- parameters: axis_of_largest
 -- source:    JJF 2014-2022 7.2.17
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given
@@ -35,8 +36,9 @@ select unit, signal, run, half as difference, max(abs(raw)) over (tested
   case when shown = 'largest' and len(absent) > 0 and not list_contains(axes, 'IRA') then
     'no flip of axis ' || array_to_string(absent, ', ') || ': the clause asks for X, Y and Z' else lack end as reason,
   {
-    axis: shown, earth_rate: earth_rate, repeat: repeat, temperature_command: temperature_command, remark: remark,
-    scale_factor: scale_source,
+    axis: shown, earth_rate: earth_rate, earth_rate_in_it: max(earth_rate_in_it) over tested, repeat: repeat,
+    temperature_command: temperature_command, scale_factor: scale_source,
+    remark: nullif(array_to_string(list_sort(list_distinct(list(remark) over tested)), '; '), ''),
     earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
   } as parameters
 from counted

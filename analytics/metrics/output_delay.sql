@@ -2,7 +2,7 @@
 -- en:        Output delay time
 -- zh:        输出延迟时间
 -- unit:      ms
--- better:    lower
+-- better:    nearer_zero
 -- grain:     unit, signal, run
 -- parameters: bandwidth_hz, misfit_rad, position, axis, reference, frequencies, records, sample_rate_hz
 -- source:    GJB 2426A-2004 5.14 (42)-(46); JJF 2014-2022 7.2.22 (44)-(50)

@@ -2,7 +2,7 @@
 -- en:        Power consumption
 -- zh:        功耗
 -- unit:      W
--- better:    lower
+-- better:    nearer_zero
 -- grain:     unit, run, step, supply
 -- parameters: supply, step
 -- source:    GJB 2426A-2004 5.4

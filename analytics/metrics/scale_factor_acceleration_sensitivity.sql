@@ -2,7 +2,7 @@
 -- en:        Scale-factor sensitivity to axial acceleration
 -- zh:        标度因数轴向加速度敏感度
 -- unit:      1/g
--- better:    neither
+-- better:    nearer_zero
 -- grain:     unit, signal, run, repeat, temperature
 -- parameters: procedure, repeat, temperature_command, up, down, ppm_per_g, remark
 -- source:    JJF 2014-2022 7.2.6

@@ -2,7 +2,7 @@
 -- en:        Symmetric scale-factor error, system-level
 -- zh:        标度因数对称性误差(系统级标定)
 -- unit:      ppm
--- better:    neither
+-- better:    nearer_zero
 -- grain:     unit, signal, run, method
 -- parameters: method, axis, speeds_deg_per_s, angle_random_walk, heading, heading_uncertainty_deg, misfit, largest_component
 -- parameters: changes_mm_per_s2, left_out

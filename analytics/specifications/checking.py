@@ -5,6 +5,7 @@ import re
 from contextlib import suppress
 
 from analytics.methods.repeatability import KINDS
+from analytics.metric_registry.magnitudes import is_nearer_zero
 from analytics.metric_registry.registry import alike, check_metrics, metrics
 from storage.specifications import specification
 from storage.specifications.specification import Specification, SpecificationLimit
@@ -53,13 +54,7 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
         if name in _WORDS and value not in _WORDS[name]:
             known = alike(str(value), _WORDS[name], "there is")
             raise BadInput(f"{place}: no value of {limit.metric} has {name} = {value!r}; {known}")
-    if limit.lower is None and limit.upper is None:
-        raise BadInput(f"{place}: it has neither lower nor upper")
-    for key, number in (("lower", limit.lower), ("upper", limit.upper)):
-        if number is not None and not math.isfinite(number):
-            raise BadInput(f"{place}: {key} is {number}; leave it out where there is no such limit")
-    if limit.lower is not None and limit.upper is not None and limit.lower > limit.upper:
-        raise BadInput(f"{place}: lower {limit.lower:g} lies above upper {limit.upper:g}")
+    _check_sides(limit, place)
     if limit.standard is not None:
         of_metric = list(dict.fromkeys(source.standard for source in header.sources))
         if limit.standard not in of_metric:
@@ -69,6 +64,22 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
             f"{place}: product {limit.product!r} has no [product.NAME] in this file; "
             f"{alike(limit.product, found.products, 'those that have are')}"
         )
+
+
+def _check_sides(limit: SpecificationLimit, place: str) -> None:
+    if limit.lower is None and limit.upper is None:
+        raise BadInput(f"{place}: it has neither lower nor upper")
+    for key, number in (("lower", limit.lower), ("upper", limit.upper)):
+        if number is not None and not math.isfinite(number):
+            raise BadInput(f"{place}: {key} is {number}; leave it out where there is no such limit")
+    if limit.lower is not None and limit.upper is not None and limit.lower > limit.upper:
+        raise BadInput(f"{place}: lower {limit.lower:g} lies above upper {limit.upper:g}")
+    if is_nearer_zero(limit.metric) and limit.upper is None:
+        raise BadInput(
+            f"{place}: by lower alone every value above it passes: write upper too, as lower = -1, upper = 1"
+        )
+    if is_nearer_zero(limit.metric) and limit.lower is None and limit.upper is not None and limit.upper < 0:
+        raise BadInput(f"{place}: upper alone limits the magnitude, and {limit.upper:g} is below 0")
 
 
 def _check_side(limit: SpecificationLimit, unit: str, place: str) -> None:

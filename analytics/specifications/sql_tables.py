@@ -6,6 +6,7 @@ from contextlib import suppress
 import msgspec
 import pyarrow as pa
 
+from analytics.metric_registry.magnitudes import as_judged
 from analytics.metric_registry.registry import metrics
 from storage.specifications.chain import Chain, read_chain
 from storage.specifications.specification import Parameter, Product, SpecificationLimit, format_parameter
@@ -77,7 +78,7 @@ def put_names(catalog: Catalog) -> None:
 
 def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> dict[str, object]:
     period, specification = edition.period, edition.period.specification
-    return msgspec.structs.asdict(limit) | {
+    return msgspec.structs.asdict(as_judged(limit)) | {
         "limit_id": limit_id, "subject": limit.subject, "specification": specification.name,
         "revision": specification.revision, "from_ns": period.from_ns, "until_ns": period.until_ns,
         "known_from_ns": edition.known_from_ns, "known_until_ns": edition.known_until_ns, "valid": period.text,

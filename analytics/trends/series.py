@@ -61,6 +61,7 @@ class MetricSeries:
     bounds: FloatArray | None = None  # shape (2, n); 95 % bounds of each value, NaN where there are none
     undated_runs: tuple[str, ...] = ()  # runs without a date, whose values are left out
     undated: int = 0  # how many values that are
+    remarks: list[str] | None = None  # of each value, empty where it has none
 
     @property
     def header(self) -> MetricHeader | None:
@@ -69,13 +70,19 @@ class MetricSeries:
 
     @property
     def is_magnitude(self) -> bool:
-        """Whether the values cannot be negative, as deviations and sizes of effects."""
-        return self.header is not None and self.header.better == "lower" and bool((self.value >= 0).all())
+        """Whether no value is negative, as of deviations and sizes of effects."""
+        is_size = self.header is not None and self.header.better in {"lower", "nearer_zero"}
+        return is_size and bool((self.value >= 0).all())
 
     @property
     def serial(self) -> list[str]:
         """Unit of each value: several signals, as the axes of one unit, are of one."""
         return self.groups.get("serial", self.unit)
+
+    @property
+    def without_interval(self) -> list[int]:
+        """Indices of the values that have no interval."""
+        return [] if self.bounds is None else np.flatnonzero(np.isnan(self.bounds).any(axis=0)).tolist()
 
     def where(self, chosen: Iterable[int]) -> "MetricSeries":
         """Some of the values, by their indices."""
@@ -85,6 +92,7 @@ class MetricSeries:
             unit=[self.unit[index] for index in at], run=[self.run[index] for index in at],
             groups={name: [levels[index] for index in at] for name, levels in self.groups.items()},
             bounds=None if self.bounds is None else self.bounds[:, at],
+            remarks=None if self.remarks is None else [self.remarks[index] for index in at],
         )  # fmt: skip
 
     def within_products(self) -> "MetricSeries":
@@ -297,4 +305,5 @@ def _series(
         variant=variant, others=others, without_value=without_value, dated=all(row["date_known"] for row in rows),
         bounds=np.array([[row[side] for row in rows] for side in ("lo", "hi")], np.float64),
         undated_runs=tuple(sorted({row["run"] or "" for row in undated})), undated=len(undated),
+        remarks=[row["parameters"].get("remark") or "" for row in rows],
     )  # fmt: skip

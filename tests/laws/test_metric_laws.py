@@ -210,7 +210,7 @@ def test_what_a_header_asks_for_leaves_no_row_out(simulated: Simulated, monkeypa
         records = [each for each in simulated.records if str(each["procedure"]) == procedure]
         found = metrics_of(simulated.store, records)
         with monkeypatch.context() as patched:
-            patched.setattr(evaluation, "_with_rows", lambda _catalog, chosen, _pool: chosen)
+            patched.setattr(evaluation, "_with_rows", lambda _catalog, chosen, _pool: (chosen, []))
             assert comparable(metrics_of(simulated.store, records)) == comparable(found), procedure
 
 

@@ -185,22 +185,24 @@ def list_all(folder: Path, *, as_json: bool) -> None:
 def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool) -> None:
     """Show the limits of a specification."""
     from analytics.evaluation.table import name_of
+    from analytics.metric_registry.magnitudes import as_judged
     from storage.specifications.validity import specification_named
     from storage.store import Store
 
     period, content = specification_named(Store.open(folder), name)
     found = period.specification
+    judged = [as_judged(each) for each in found.limits]
     if as_toml:
         click.echo(content, nl=False)
         return
     if as_json:
-        print_json({**_period_document(period), "limits": [msgspec.structs.asdict(each) for each in found.limits]})
+        print_json({**_period_document(period), "limits": [msgspec.structs.asdict(each) for each in judged]})
         return
     titles = ("characteristic", "of", "product", "lower", "upper", "unit of measure")
     if language == "zh":
         titles = ("特性", "限定", "产品", "下限", "上限", "单位")
     table = ResultTable(*titles, title=f"{found.label}, {period.text}")
-    for each in found.limits:
+    for each in judged:
         of = each.subject.removeprefix(each.metric).strip(" ()")
         numbers = ("" if number is None else f"{number:g}" for number in (each.lower, each.upper))
         table.add_row(name_of(each.metric, language), of, each.product or "", *numbers, each.unit_of_measure)
@@ -222,6 +224,7 @@ def _enter(
 ) -> None:
     from analytics.metric_registry.registry import metrics
     from analytics.specifications.checking import checked_specification
+    from analytics.specifications.doubts import doubts_of
     from analytics.specifications.entering import add_specification
     from storage.specifications.specification import read_specification
     from storage.specifications.validity import stored_specifications
@@ -233,10 +236,14 @@ def _enter(
     found, is_new, proposal = add_specification(
         store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges
     )
+    doubts = doubts_of(store, found)
+    for each in doubts:
+        notes().print(each, soft_wrap=True)
     if as_json:
         proposed = {} if proposal is None else {"proposal": proposal.uid}
         print_json(
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
+            | {"doubts": doubts}
             | proposed
         )
         return

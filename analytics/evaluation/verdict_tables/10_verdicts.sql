@@ -109,6 +109,12 @@ select k.row, p.limit_id, count(*) as met
 from keyed k join internal.specification_parameters p on p.metric = k.metric and p.path = k.path and p.key = k.key
 group by k.row, p.limit_id;
 
+-- Of a value that has the Earth's rate in it: whether it is known how much.
+create or replace macro is_earth_rate_known(parameters) as
+  coalesce(not starts_with(parameters->>'$.earth_rate_in_it', 'up to'), false);
+create or replace macro is_earth_rate_unknown(parameters) as
+  coalesce(starts_with(parameters->>'$.earth_rate_in_it', 'up to'), false);
+
 -- Every value with every limit that could be meant, whether or not it was valid then.
 create or replace view internal.limit_candidates as
 with meant as (
@@ -126,6 +132,8 @@ from meant
 join internal.metric_runs m using (row)
 join internal.limit_editions s using (limit_id)
 where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
+  -- a value with the Earth's rate in it is judged where a limit asks for that, or nobody can remove it
+  and (not is_earth_rate_known(m.parameters) or s.parameters->>'$.earth_rate' is not null)
   and (s.product is null or s.product = m.product)
   and (s.signal is null or s.signal = m.signal)
   and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
@@ -208,6 +216,7 @@ with candidate as materialized (
     d.reason as early_reason, d.outcome as early, l.n as samples, l.expected, r.record,
     b.record_s is not null and coalesce(r.record, 0) < 0.99 * b.record_s as is_short,
     case
+      when v is not null and is_earth_rate_unknown(b.parameters) then 'MARGINAL'
       when is_short and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'
       when expired is not null and by_value = 'PASS' and d.outcome is distinct from 'FAIL' then 'MARGINAL'
       when d.outcome is null and by_value = 'PASS' and l.n is not null then 'MARGINAL'
@@ -232,6 +241,7 @@ with candidate as materialized (
     case decision_rule when 'interval' then greatest(v_hi - v, v - v_lo) else guard end as guard, parameters, runs, standard, clause,
     specification, revision,
     case
+      when v is not null and is_earth_rate_unknown(parameters) then parameters->>'$.remark'
       when is_short and by_value = 'PASS' and verdict = 'MARGINAL' then
         coalesce('its record lasts ' || printf('%.4g', record) || ' s', 'the length of its record is not known')
         || ', the limit asks for ' || printf('%.4g', record_s) || ' s: measure longer'
@@ -276,7 +286,7 @@ with candidate as materialized (
   group by row, unit, signal, run, metric, specification
   having not bool_or(is_valid)
 ), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
-  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns, u.lack,
+  select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns, u.lack,
     s.* exclude (product), s.signal as limit_signal, s.product as limit_product
   from internal.judged_units u join internal.run_known k on k.unit = u.unit and k.run = u.run
   join internal.limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
@@ -301,6 +311,11 @@ with candidate as materialized (
   where limit_product is not null and (product is null or product not in (select product from internal.product_editions))
   group by unit, product
   having product is null or not bool_or(limit_product = product)
+), without_output as (                  -- units of whose steps none has the output of a gyro
+  select unit, string_agg(distinct coalesce("procedure", step, 'of no procedure'), ', '
+      order by coalesce("procedure", step, 'of no procedure')) as procedures,
+    string_agg(distinct signal, ', ' order by signal) as signals
+  from step_means anti join internal.gyro_steps g using (unit) where signal is not null group by unit
 ), lacking as (
   select a.unit, a.limit_signal as signal, null::varchar as run, a.metric, a.subject, 'NO_DATA' as verdict,
     null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
@@ -308,13 +323,23 @@ with candidate as materialized (
     case when a.lack is not null then a.lack
       when n.metric is null then 'this gyrofleet has no metric ' || a.metric
         || ': it is of a later version, or an own file that this installation lacks (GYROFLEET_OWN)'
+      when h.unit is null and o.unit is not null and not starts_with(n.needs, 'entered')
+        then 'its steps (' || o.procedures || ') are there, but without the output of a gyro (of ' || o.signals
+          || ' alone): import a column of its rate, or name its output rate'
       when h.unit is null then 'not measured: it needs ' || n.needs
+      when a.metric = 'bias_stability_averaged' and a.parameters->>'$.average_s' is not null
+          and not list_contains([1.0, 10.0, 100.0, p.average_s], try_cast(a.parameters->>'$.average_s' as double))
+        then 'averages of ' || replace(a.parameters->>'$.average_s', '.0', '') || ' s are not computed: write average_s = '
+          || replace(a.parameters->>'$.average_s', '.0', '') || ' in [product."' || coalesce(a.product, 'NAME')
+          || '"] of its specification, and enter that with `gyrofleet limits revise --rejudge`'
       else 'values of ' || a.metric || ' are there, but none of ' || a.subject
         || ': `gyrofleet metrics --metric ' || a.metric || '` shows which' end as reason,
     a.product, a.lot, a.station, a.fixture, a.day, a.t_ns
   from asked a
   left join metric_names n on n.metric = a.metric
   left join (select distinct unit, metric from unit_metrics) h on h.unit = a.unit and h.metric = a.metric
+  left join without_output o on o.unit = a.unit
+  left join internal.run_products p on p.unit = a.unit and p.run = a.run
   anti join (select distinct unit, specification, subject from candidate) c
     on c.unit = a.unit and c.specification = a.specification and c.subject = a.subject
 ), entered as (

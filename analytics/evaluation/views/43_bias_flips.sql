@@ -2,6 +2,8 @@
 -- commanded temperature, as it
 -- was measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across
 -- the input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
+-- `earth_rate_in_it` says of a value as measured how much of it the Earth's rate is; without a latitude nobody knows,
+-- and nothing says how sure the value is.
 create or replace macro temperatures_remark(coldest, warmest) as
   case when warmest - coldest > 2 then
     format('steps from {:.1f} to {:.1f} degC are compared: what that does to the bias is in the value', coldest, warmest) end;
@@ -67,8 +69,8 @@ with flip as (
     sum(n)::bigint as n, list_sort(flatten(list(steps order by g))) as steps,
     any_value(scale_source) as scale_source,
     temperatures_remark(min(coldest), max(warmest)) as remark,
-    case when flipped = 'IRA' or flipped = body_axis_of(signal)
-      then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
+    flipped = 'IRA' or coalesce(flipped = body_axis_of(signal), false) as is_input,
+    case when is_input then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
     case
       when not bool_and(is_scaled) then no_scale_factor(any_value(unit_of_measure))
       when sum(unknown) > 0 then 'axis ' || flipped || ': no sample in the evaluated part of a step'
@@ -80,15 +82,21 @@ with flip as (
 ), whole as (
   select *,
     list(axis) over test as axes,
-    list(axis) filter (earth is null) over test as level
+    list(axis) filter (not is_input) over test as level,
+    case when is_input then coalesce(printf('%.4g', earth), 'up to ' || printf('%.4g', earth_rate_deg_per_h()))
+      || ' deg/h/g' end as earth_rate_in_it
   from pair
   window test as (partition by run, unit, signal, "procedure", repeat, warmth
     order by axis rows between unbounded preceding and unbounded following)
 )
-select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level, half,
-  half as raw, u, freedom, n, steps, scale_source, lack, 'none' as earth_rate
+select run, unit, signal, "procedure", repeat, warmth, temperature_command,
+  nullif(concat_ws('; ', remark, case when is_input and earth is null then 'the Earth''s rate is in it, '
+    || earth_rate_in_it || ', so that it has no interval: ' || no_latitude() end), '') as remark,
+  axis, axes, level, half, half as raw, case when not is_input or earth is not null then u end as u, freedom, n, steps,
+  scale_source, lack, 'none' as earth_rate, earth_rate_in_it
 from whole
 union all
 select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level,
-  half - coalesce(earth, 0), half, u, freedom, n, steps, scale_source, lack, 'removed'
+  half - coalesce(earth, 0), half, u, freedom, n, steps, scale_source,
+  coalesce(lack, case when is_input and earth is null then no_latitude() end), 'removed', null
 from whole where len(level) < len(axes) or level is null;

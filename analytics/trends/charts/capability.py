@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.methods.distributions import chi_square_quantile, normal_quantile
+from analytics.metric_registry.magnitudes import as_judged
 from analytics.trends.series import MetricSeries, parameter_text
 from analytics.trends.words import NotComputed, Words, not_computed, words
 from storage.specifications.specification import SpecificationLimit
@@ -63,7 +64,7 @@ def _limits_at(periods: list[Period], series: MetricSeries, moment: int) -> Spec
     without = False
     valid = [each for each in periods if each.from_ns <= moment < each.until_ns]
     for product, signal in sorted(set(zip(series.groups["product"], series.groups["signal"], strict=True))):
-        limits = ((limit, each.specification.label) for each in valid for limit in each.specification.limits)
+        limits = ((as_judged(limit), each.specification.label) for each in valid for limit in each.specification.limits)
         own = [(limit, label) for limit, label in limits if _applies(limit, series, product, signal)]
         without = without or not own
         for limit, label in own:
@@ -109,6 +110,7 @@ class Capability(NamedTuple):
     cp: Index | None  # (upper - lower)/(6*sigma); None where there is one limit only
     cpk: Index  # distance of the mean from the nearer limit over 3*sigma
     measurement_share: float | None  # share of the measurement uncertainty in the variance
+    share_of: int  # values whose uncertainty is known, of which the share is
     # probability of values at least this far from normal if they are normal (Shapiro and Wilk)
     normality_chance: float
 
@@ -142,13 +144,13 @@ def capability(
     mean, sigma = float(values.mean()), float(values.std(ddof=1))
     cp = cp_index((upper - lower) / (6 * sigma), n) if lower is not None and upper is not None else None
     sides = [sign * (limit - mean) / (3 * sigma) for limit, sign in ((upper, 1), (lower, -1)) if limit is not None]
-    share = None
-    if uncertainty is not None and np.isfinite(uncertainty).all():
-        share = min(1.0, float(np.mean(uncertainty**2)) / sigma**2)
+    known = np.empty(0) if uncertainty is None else uncertainty[np.isfinite(uncertainty)]
+    share = min(1.0, float(np.mean(known**2)) / sigma**2) if known.size else None
     from scipy.stats import shapiro  # slow to import
 
     chance = float(shapiro(values[:_MOST_FOR_SHAPIRO]).pvalue)
-    return Capability(lower, upper, mean, sigma, values.size, n, cp, cpk_index(min(sides), n), share, chance)
+    indices = (cp, cpk_index(min(sides), n))
+    return Capability(lower, upper, mean, sigma, values.size, n, *indices, share, known.size, chance)
 
 
 def cp_index(cp: float, n: int) -> Index:
