@@ -28,12 +28,13 @@ def document(trend: Trend) -> dict[str, Any]:
         "values": series.value.size,
         "units": len(set(series.serial)),
         "without_value": series.without_value,
+        "without_interval": without_interval(series),
         "undated_left_out": series.undated,
         "undated_runs": list(series.undated_runs),
         "dated": series.dated,
         "by": trend.by,
         "charts": [
-            _chart(chart) | {"capability": _capability(found), "specification": _specification(limits)}
+            _chart(chart) | {"capability": _capability(found, chart), "specification": _specification(limits)}
             for chart, found, limits in charts
         ],
         "specification": _specification(trend.specification),
@@ -153,9 +154,22 @@ def _times(series: MetricSeries, at: int, first: int, last: int) -> dict[str, st
     return {"time": moment(series, at), "from": moment(series, first), "to": moment(series, last)}
 
 
-def _capability(found: Capability | NotComputed) -> dict[str, Any]:
-    normal = {"is_normal": found.is_normal} if isinstance(found, Capability) else {}
-    return {**_plain(found), **normal}
+def _capability(found: Capability | NotComputed, chart: Chart) -> dict[str, Any]:
+    if not isinstance(found, Capability):
+        return {**_plain(found)}
+    lacking = without_interval(chart.series.first_of_units())
+    return {**_plain(found), "is_normal": found.is_normal, "without_interval": lacking}
+
+
+def without_interval(series: MetricSeries) -> list[dict[str, Any]]:
+    """The values that have no interval, with what is remarked on them."""
+    return [
+        {
+            "unit": series.unit[at], "run": series.run[at], "time": moment(series, at),
+            "remark": (series.remarks[at] if series.remarks else "") or None,
+        }
+        for at in series.without_interval
+    ]  # fmt: skip
 
 
 def _comparison(found: GroupComparison | NotComputed) -> dict[str, Any]:

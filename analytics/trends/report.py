@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 
+from analytics.evaluation.reasons import in_chinese
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.charts.control_chart import IndividualsChart
 from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
@@ -28,6 +29,7 @@ from analytics.trends.words import (
 )
 
 _BRIEF_DAYS = 10
+_MOST_NAMED = 8
 _POSSIBLE = 0.05  # chance up to which a drift that is not significant is reported as a possible one
 
 
@@ -188,6 +190,7 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
         return
     if chart.wild_point is not None:
         yield _outlier(chart, chart.limits, chart.wild_point)
+        yield from _beyond(chart, chart.limits, chart.wild_point)
     # a moving level meets the rules by itself
     if chart.too_many is not None and not (chart.has_changed or chart.drifts or chart.shifts or chart.is_unsteady):
         yield words(
@@ -195,6 +198,8 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
             first=moment(series, chart.signals[chart.too_many][0]),
             expected=0.0 if chart.chance is None else chart.chance.expected[chart.too_many - 1],
         )  # fmt: skip
+        if chart.too_many == 1 and chart.wild_point is None:
+            yield from _beyond(chart, chart.limits, None)
 
 
 def _possible_drifts(trend: Trend) -> Iterator[Words]:
@@ -224,6 +229,20 @@ def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
         z=float(chart.z[point]),
         centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
     )  # fmt: skip
+
+
+def _beyond(chart: Chart, limits: IndividualsChart, wild: int | None) -> Iterator[Words]:
+    """The points beyond 3 sigma, the farthest first, without the one that is named already."""
+    series = chart.series
+    points = sorted((each for each in chart.signals.get(1, []) if each != wild), key=lambda at: -abs(chart.z[at]))
+    if points:
+        unit = behind(series.unit_of_measure)
+        named = [
+            f"({series.unit[at]}, {moment(series, at)}: {figures(float(chart.charted[at]), limits.sigma)}{unit}, "
+            f"{chart.z[at]:+.1f} sigma)"
+            for at in points
+        ]
+        yield words("beyond" if wild is None else "beyond_too", points=listed(named, _MOST_NAMED))
 
 
 def _nothing(trend: Trend) -> Words:
@@ -373,31 +392,52 @@ def _of_capability(trend: Trend) -> Iterator[Words]:
         if isinstance(found, NotComputed):
             refused.setdefault(found.why, []).append(chart.name)
         else:
-            yield _about(trend, [chart.name], _capable(trend, found, limits, chart.series.value.size))
+            yield _about(trend, [chart.name], _capable(chart, found, limits))
     if trend.by == "unit" and len(trend.charts) > 1:
         return
     for why, names in refused.items():
         yield _about(trend, names, words("no_capability", why=why))
 
 
-def _capable(trend: Trend, found: Capability, limits: SpecifiedLimits, charted: int) -> Words:
+def _capable(chart: Chart, found: Capability, limits: SpecifiedLimits) -> Words:
+    charted, lacking = chart.series.value.size, len(chart.series.first_of_units().without_interval)
     indices = {name: index for name, index in (("Cp", found.cp), ("Cpk", found.cpk)) if index is not None}
     noise = NOTHING
     if found.measurement_share is not None:
-        noise = words("share", share=f"{float(f'{found.measurement_share * 100:.2g}'):g} %")
+        some = words("share_of", n=found.share_of) if found.share_of < found.n else NOTHING
+        noise = words("share", share=f"{float(f'{found.measurement_share * 100:.2g}'):g} %", of=some)
     sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
     return words(
         "capability", n=found.n, of=NOTHING if found.n == found.units else words("values_of", units=found.units),
         first=words("capability_first", every=charted) if charted > found.n else NOTHING,
-        noise=noise, normal=NOTHING if found.is_normal else words("not_normal"),
+        lacking=words("capability_lacking", n=lacking) if lacking else NOTHING, noise=noise,
+        normal=NOTHING if found.is_normal else words("not_normal"),
         indices=joined((words("index", name=name, **each._asdict()) for name, each in indices.items()), ", ", ", "),
-        sides=f"{', '.join(sides)}{behind(trend.series.unit_of_measure)}", source=limits.source,
+        sides=f"{', '.join(sides)}{behind(chart.series.unit_of_measure)}", source=limits.source,
         rule=words(f"rule_{limits.rule or 'interval'}"),
     )  # fmt: skip
 
 
+def _without_interval(series: MetricSeries) -> Iterator[Words]:
+    """How many values have no interval, whose, and why."""
+    units: dict[str, dict[str, None]] = {}
+    for at in series.without_interval:
+        units.setdefault(series.remarks[at] if series.remarks else "", {})[series.unit[at]] = None
+    parts = []
+    for remark, of in units.items():
+        why = words("why", why=Words(remark, in_chinese(remark))) if remark else NOTHING
+        parts.append(words("lacking_of", names=listed([*of]), why=why))
+    if parts:
+        n, others = len(series.without_interval), len(parts) - _MOST_NAMED
+        more = [words("more_reasons", n=others)] if others > 0 else []
+        has, count = ("has", "counts") if n == 1 else ("have", "count")
+        every = joined(parts[:_MOST_NAMED] + more)
+        yield words("without_interval", n=n, of=series.value.size, has=has, count=count, parts=every)
+
+
 def _left_out(trend: Trend) -> Iterator[Words]:
     series = trend.series
+    yield from _without_interval(series)
     refused = [(chart.name, chart.limits) for chart in trend.charts if isinstance(chart.limits, NotComputed)]
     by_reason: dict[Words, list[str]] = {}
     for name, found in refused:
