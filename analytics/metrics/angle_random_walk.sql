@@ -19,8 +19,9 @@ select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   case when s.lack is null then
     case when c.run is not null then c.value else sqrt(nullif(s.white, 0)) * abs(s.deg_per_h) / 60 end end as value,
   c.lo, c.hi, c.standard_uncertainty,
-  -- the shortest averaging times determine white noise; long steps are reduced from means of 1 s
-  case when c.run is null then greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) end as freedom,
+  -- the shortest averaging times determine white noise; long steps and irregular ones are reduced from means of 1 s
+  case when c.run is null then greatest(coalesce(s.whole_seconds, case when s.n > 20000 then s.duration_s else s.n end) / 1.5, 1) end
+    as freedom,
   to_json({
     method: 'allan', duration_s: round(s.duration_s),
     whole_seconds: case when s.whole_seconds < s.duration_s then s.whole_seconds end, record: case when c.run is not null then 'run' else 'step' end,

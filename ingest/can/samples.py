@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from ingest.can.counters import FrameCounter
 from ingest.can.decode import Decoded, FrameBytes, RawArray, SignalLayout, scaled
-from ingest.can.forward_times import JITTER_NS, ForwardTimes
+from ingest.can.forward_times import ForwardTimes
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
+from ingest.can.grid_times import GridTimes
 from ingest.can.pairs import PairFinder
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
 from ingest.can.summary import CanCounts, MessageCount
@@ -27,6 +28,7 @@ class SignalPiece(NamedTuple):
     plan: SignalPlan
     times_ns: IntArray
     data: CountArray | FloatArray
+    is_irregular: bool = False  # of a message with another interval than its mapping states
 
     def head(self, run: str, epoch: UUID, dt_ns: int, *, irregular: bool = False) -> SignalHead:
         """What all batches of the signal have in common."""
@@ -49,21 +51,25 @@ _J1939_MOST = {8: 0xFA, 16: 0xFAFF, 32: 0xFAFFFFFF}
 
 
 class _RouteState:
-    def __init__(self, route: Route, *, finds_pairs: bool) -> None:
+    def __init__(self, route: Route, *, finds_pairs: bool, is_live: bool) -> None:
         message = route.message
         self.route, self.channel, self.source = route, route.channel, route.source
         self.tally = MessageCount(message.layout.name, route.unit, route.arbitration_id)
         self.times = ForwardTimes()
         self.pairs = PairFinder() if finds_pairs else None
         self.counter = None if message.counter is None else FrameCounter(message.counter.modulus, message.interval_ns)
-        self.anchor_ns: int | None = None
-        self.last_ns: tuple[np.int64, np.int64] | None = None  # received and sampled
+        self.grid: GridTimes | None = None
+        if message.counter is not None and message.interval_ns is not None:
+            is_watched = finds_pairs or is_live
+            self.grid = GridTimes(message.interval_ns, message.counter.modulus, is_live, is_watched)
 
     def count(self) -> MessageCount:
         of_counter = ("lost", "repeated", "restarts", "strays")
         numbers: dict[str, Any] = {name: getattr(self.counter, name, 0) for name in of_counter}
         late, retimed = self.times.late, self.times.retimed
         pairs = None if self.pairs is None else self.pairs.found()
+        if self.grid is not None:
+            numbers |= {name: getattr(self.grid, name) for name in ("off_grid_s", "set_back", "set_back_s", "seen")}
         return replace(self.tally, **numbers, late=late, retimed=retimed, pairs=pairs)
 
     def take(self, frames: _Frames) -> list[SignalPiece]:
@@ -128,38 +134,25 @@ class _RouteState:
             self.tally.short += int((found.short_rows & keep).sum())
         if found.rows is not None:
             keep &= found.rows
-        numbers, is_new = self.counter.follow(frames.t_ns[keep], found.all_raw[keep].astype(np.int64))
-        if self.anchor_ns is None and len(numbers):
-            self.anchor_ns = int(frames.t_ns[keep][0])
-        keep[keep] = is_new
-        if message.interval_ns is None:
+        counters = found.all_raw[keep].astype(np.int64)
+        restarts = self.counter.restarts
+        numbers, is_new = self.counter.follow(frames.t_ns[keep], counters)
+        if self.grid is None:
+            keep[keep] = is_new
             times_ns, is_forward = self.times.follow(frames.t_ns[keep])
             keep[keep] = is_forward
             return times_ns
-        times_ns = (self.anchor_ns or 0) + numbers[is_new] * message.interval_ns
-        self._see_clock(frames.t_ns[keep], times_ns)
-        if len(times_ns):
-            off_grid_ns = int(np.abs(frames.t_ns[keep] - times_ns).max())
-            self.tally.off_grid_s = max(self.tally.off_grid_s, off_grid_ns / 1e9)
-        return times_ns
-
-    def _see_clock(self, received_ns: IntArray, sampled_ns: IntArray) -> None:
-        """Count where the clock that stamps the frames was set back; samples on a grid do not show it."""
-        if not len(received_ns):
-            return
-        last = (received_ns[0], sampled_ns[0]) if self.last_ns is None else self.last_ns
-        received, sampled = (
-            np.diff(each, prepend=end) for each, end in zip((received_ns, sampled_ns), last, strict=True)
-        )
-        self.last_ns = received_ns[-1], sampled_ns[-1]
-        is_back = received < -JITTER_NS
-        if is_back.any():
-            self.tally.set_back += int(np.count_nonzero(is_back))
-            self.tally.set_back_s = max(self.tally.set_back_s, int((sampled - received)[is_back].max()) / 1e9)
+        if len(numbers):
+            self.grid.begin(int(frames.t_ns[keep][0]))
+        if self.counter.restarts > restarts:
+            self.grid.restart()
+        keep[keep] = is_new
+        return self.grid.place(frames.t_ns[keep], numbers[is_new], counters[is_new])
 
     def _pieces(self, frames: _Frames, keep: BoolArray, times_ns: IntArray) -> list[SignalPiece]:
         has_all = bool(keep.all())
         pieces, short = [], 0
+        is_irregular = self.grid is not None and self.grid.is_wrong
         for plan in self.route.message.signals:
             found = frames.decoded[plan.layout.name]
             if found.short_rows is not None:
@@ -182,7 +175,7 @@ class _RouteState:
                     self.tally.not_finite += int(len(finite) - finite.sum())
                     mine_ns, data = mine_ns[finite], data[finite]
             if len(mine_ns):
-                pieces.append(SignalPiece(self.route, plan, mine_ns, data))
+                pieces.append(SignalPiece(self.route, plan, mine_ns, data, is_irregular))
         self.tally.short += short
         return pieces
 
@@ -215,11 +208,12 @@ def _outside(raw: RawArray, layout: SignalLayout) -> int:
 class CanSamples:
     """Turns frames into samples; counters and grids continue from block to block.
 
-    With `finds_pairs` the account says which messages without a counter have every frame twice.
+    With `finds_pairs` the account says which messages without a counter have every frame twice, and which have another
+    interval than the plan states. `is_live` is a bus: no frame there was sampled after it was received.
     """
 
-    def __init__(self, plan: CanPlan, *, finds_pairs: bool = False) -> None:
-        self._states = [_RouteState(route, finds_pairs=finds_pairs) for route in plan.routes]
+    def __init__(self, plan: CanPlan, *, finds_pairs: bool = False, is_live: bool = False) -> None:
+        self._states = [_RouteState(route, finds_pairs=finds_pairs, is_live=is_live) for route in plan.routes]
         keys = sorted({route.key for route in plan.routes})
         self._known = np.array(keys, np.uint32)
         self._pgns = np.array([key & ~OF_PGN for key in keys if key & OF_PGN], np.uint32)

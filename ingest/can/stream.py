@@ -57,8 +57,9 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
 class CanDecoder:
     """Turns frames as they come into batches per unit and signal, numbered on from block to block.
 
-    Samples of a message with counter and interval lie on an exact grid. Others have their times of reception; their
-    interval is that of the first 200 samples or 5 s, which are buffered until then.
+    Samples of a message with counter and interval lie on an exact grid, as long as its frames come so. Others have
+    their times of reception; their interval is that of the first 200 samples or 5 s, which are buffered until then.
+    `is_live`: no frame was sampled after its time of reception.
 
     >>> from ingest.can.decode import BitField, MessageLayout, SignalLayout
     >>> from ingest.can.frames import CanFrame, frame_block
@@ -72,8 +73,8 @@ class CanDecoder:
     [('rate', 10000000, [0.0, 0.25, 0.5, 0.75])]
     """
 
-    def __init__(self, plan: CanPlan, *, run: str, epoch_of: Callable[[str], UUID]) -> None:
-        self._samples = CanSamples(plan)
+    def __init__(self, plan: CanPlan, *, run: str, epoch_of: Callable[[str], UUID], is_live: bool = False) -> None:
+        self._samples = CanSamples(plan, is_live=is_live)
         self._run, self._epoch_of = run, epoch_of
         self._streams: dict[tuple[str, str], _Stream] = {}
 
@@ -84,7 +85,7 @@ class CanDecoder:
             name = (piece.route.unit, piece.plan.signal)
             if name not in self._streams:
                 self._streams[name] = _Stream(piece, self._run, self._epoch_of(piece.route.unit))
-            batches += self._streams[name].take(piece.times_ns, piece.data)
+            batches += self._streams[name].take(piece)
         return batches
 
     def finish(self) -> list[SampleBatch]:
@@ -103,11 +104,14 @@ class _Stream:
         self._head = first.head(run, epoch, message.interval_ns or 0)
         self._cycle_ns = message.cycle_ns
         self._is_on_grid = message.counter is not None and message.interval_ns is not None
+        self._is_wrong = False
         self._seq = 0
         self._last_ns: int | None = None
         self._buffer: list[tuple[IntArray, CountArray | FloatArray]] = []
 
-    def take(self, times_ns: IntArray, data: CountArray | FloatArray) -> list[SampleBatch]:
+    def take(self, piece: SignalPiece) -> list[SampleBatch]:
+        times_ns, data = piece.times_ns, piece.data
+        self._is_wrong = piece.is_irregular
         if self._head.dt_ns:
             return self._batches(times_ns, data)
         self._buffer.append((times_ns, data))
@@ -139,7 +143,9 @@ class _Stream:
         batches = []
         for begin, end in pairwise([0, *cuts, len(times_ns)]):
             is_even = not uneven[begin + 1 : end].any()
-            irregular = bool(uneven[begin:end].any()) and off_grid_intervals(intervals_ns[begin:end], dt_ns)[0] > 0
+            irregular = self._is_wrong
+            if not self._is_on_grid:
+                irregular = bool(uneven[begin:end].any()) and off_grid_intervals(intervals_ns[begin:end], dt_ns)[0] > 0
             part = self._seq + begin, times_ns[begin:end], data[begin:end]
             batches.append(self._head.batch(*part, is_even=is_even, irregular=irregular))
         self._seq += len(data)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from ingest.can.frames import id_text, ids_text
 from ingest.can.pairs import Pairs
+from ingest.seen_interval import SeenInterval
 from ingest.tables.sample_file import TableSummary
 
 COUNTED = {
@@ -72,6 +73,7 @@ class MessageCount:
     other_source: int = 0  # left out, of another J1939 source than the first frame's, if the mapping names none
     set_back: int = 0  # places where the receiving clock went back, of frames on a grid
     set_back_s: float = 0.0  # by how much at most
+    seen: SeenInterval | None = None  # the interval at which they come, if it is certainly not the stated one
     pairs: Pairs | None = None  # frames that come in pairs of the same data; None if they do not
 
 

@@ -50,7 +50,7 @@ class SerialFrames:
     ([1.0, -0.01], [1000000000, 1010000000], 1)
     """
 
-    def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID) -> None:
+    def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID, *, is_live: bool = True) -> None:
         layout.check(f"unit {unit}: layout of its frames")
         self.layout = layout
         self.counts = SerialCounts()
@@ -60,7 +60,7 @@ class SerialFrames:
         self._longest = layout.longest if layout.length is None else layout.length
         counter = layout.counter
         modulus = None if counter is None else counter.modulus or 256 ** SIZES[counter.type]
-        self.times = FrameTimes(layout.interval_s, modulus)
+        self.times = FrameTimes(layout.interval_s, modulus, is_live=is_live)
         self._dt_ns = max(1, round(layout.interval_s * 1e9))
         self._kept = b""
         self._seq = 0
@@ -107,10 +107,12 @@ class SerialFrames:
                 values = np.asarray(read(head, part.at, part.type, order) * scale + offset, np.float64)
             scale, offset = 1.0, 0.0
         grid = times_ns[0] + self._dt_ns * np.arange(len(times_ns), dtype=np.int64)
-        is_regular = bool((np.abs(times_ns - grid) <= _REGULAR * self._dt_ns).all())
+        is_wrong = self.times.is_wrong
+        is_regular = not is_wrong and bool((np.abs(times_ns - grid) <= _REGULAR * self._dt_ns).all())
         return SampleBatch(
             self._unit, part.signal, self._run, self._epoch, self._seq, int(times_ns[0]), self._dt_ns, part.unit,
-            counts=counts, values=values, times_ns=None if is_regular else times_ns, scale=scale, offset=offset,
+            counts=counts, values=values, times_ns=None if is_regular else times_ns, irregular=is_wrong, scale=scale,
+            offset=offset,
         )  # fmt: skip
 
     def _find(self, data: ByteArray, *, is_last: bool) -> tuple[list[int], int]:

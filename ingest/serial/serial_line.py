@@ -13,6 +13,7 @@ from uuid import UUID
 
 from ingest.serial.frame_layout import FrameLayout
 from ingest.serial.serial_frames import SerialFrames
+from ingest.source_fault import Fault
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
@@ -36,9 +37,11 @@ class SerialLine:
     def __init__(
         self, port: str, baud: int, layout: FrameLayout, unit: str, run: str, epoch: UUID, clock: StationClock,
         deliver: Callable[[SampleBatch], None], report: Callable[[str], None], *, batch_s: float = BATCH_S,
+        layout_name: str = "its layout",
     ) -> None:  # fmt: skip
-        self.frames = SerialFrames(layout, unit, run, epoch)
+        self.frames = SerialFrames(layout, unit, run, epoch, is_live=clock.speed == 1.0)
         self.error: Exception | None = None
+        self._unit, self._layout_name = unit, layout_name
         self._who = f"unit {unit} at {port}"
         self._address, self._baud = port, baud
         self._clock = clock
@@ -68,6 +71,13 @@ class SerialLine:
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
+
+    def faults(self) -> dict[tuple[str, Fault], str]:
+        """What keeps the unit's samples from being used, as far as the line shows it."""
+        seen = self.frames.times.seen
+        if seen is None or not seen.is_wrong:
+            return {}
+        return {(self._unit, Fault.INTERVAL): seen.warning(self._who, self._layout_name)}
 
     def _run(self) -> None:
         try:
@@ -126,7 +136,8 @@ class SerialLine:
         """Report losses since the last report, at most once in 10 s."""
         counts = self.frames.counts
         now = (counts.lost, counts.repeated, counts.dropped_bytes, counts.restarts)
-        if now == self._reported or not (at_once or time.monotonic() - self._reported_s >= _REPORT_EVERY_S):
+        is_due = self.frames.times.watch.is_settled and time.monotonic() - self._reported_s >= _REPORT_EVERY_S
+        if now == self._reported or not (at_once or is_due):
             return
         lost, repeated, dropped, restarts = (after - before for after, before in zip(now, self._reported, strict=True))
         self._reported, self._reported_s = now, time.monotonic()

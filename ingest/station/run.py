@@ -8,6 +8,7 @@ from typing import Protocol
 from ingest.instruments.base import Instrument
 from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
+from ingest.source_fault import Fault
 from ingest.station.bench import StationBench
 from ingest.station.releases import Releases
 from ingest.station.rest import by_hand
@@ -34,6 +35,9 @@ class RunSource(Protocol):
 
     def stop(self) -> None:
         """Deliver what has come, and end; never raises."""
+
+    def faults(self) -> Mapping[tuple[str, Fault], str]:
+        """What keeps samples of units from being used now, a sentence each."""
 
 
 class Operator(Protocol):
@@ -74,6 +78,9 @@ class StationRun:
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
         self._silent: dict[str, float] = {}
+        self._sources: list[RunSource] = []
+        self._reported: set[tuple[str, Fault]] = set()
+        self._causes: dict[str, Fault] = {}  # of lacking samples in the step that is recorded
         self._look_for_silence_s = 0.0
         self.unsafe: Mapping[str, str] = {}
 
@@ -89,7 +96,7 @@ class StationRun:
         measure all the time. Raises RunStopped if the operator stops the run, or an instrument fails: it can be
         resumed; RunAborted if the operator aborts it; InstrumentError if a source cannot be started.
         """
-        active: list[RunSource] = []
+        active = self._sources
         outcome = "interrupted"
         try:
             for name in self._bench.left_as_they_are():
@@ -196,9 +203,13 @@ class StationRun:
 
             def is_over() -> bool:
                 self._watch(step, off)
-                self._watch_units(step)
+                if time.monotonic() >= self._look_for_silence_s:
+                    self._look_for_silence_s = time.monotonic() + _SILENCE_EVERY_S
+                    self._watch_sources()
+                    self._watch_units(step)
                 return self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)
 
+            self._causes.clear()
             self._log.coverage.watch(is_recording=True)
             try:
                 self._until(step, "recording", is_over, None)
@@ -223,11 +234,19 @@ class StationRun:
                 self.report(f"warning: {self._named(step)}: {what} has left its band: {text}; the record goes on")
             off[what] = max(departure, off.get(what, 0.0))
 
+    def _watch_sources(self) -> None:
+        """Report what the sources find wrong with their units, each once."""
+        faults = {key: text for each in self._sources for key, text in each.faults().items()}
+        for (unit, fault), text in faults.items():
+            self._causes[unit] = fault
+            if (unit, fault) not in self._reported:
+                self._reported.add((unit, fault))
+                self._operator.report(f"warning: {text}")
+                self._log.note(f"warning: {text}", unit)
+        self._log.faults = tuple(faults.values())
+
     def _watch_units(self, step: PlannedStep) -> None:
         """Report units that fall silent while a step records, and those that deliver again."""
-        if time.monotonic() < self._look_for_silence_s:
-            return
-        self._look_for_silence_s = time.monotonic() + _SILENCE_EVERY_S
         silent = self._log.coverage.silent(self._clock.speed)
         left = set(self._log.units_left)
         if new := [unit for unit in silent if unit not in self._silent]:
@@ -270,7 +289,8 @@ class StationRun:
         self._until(step, "the last samples come", is_enough, None, is_recorded=True)
         lacking = coverage.lacking()
         for unit, what in lacking:
-            text = f"warning: {self._named(step)}, unit {unit}: {what}; check its wiring and power"
+            cause = self._causes[unit].value if unit in self._causes else "check its wiring and power"
+            text = f"warning: {self._named(step)}, unit {unit}: {what}; {cause}"
             self._log.note(text, unit)
             self._operator.report(text)
         if lacking:

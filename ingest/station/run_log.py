@@ -156,6 +156,7 @@ class RunLog(RunRecord[StationRunState]):
         self._counting = threading.Lock()
         self._notes = 0
         self.gap_s = 0.0  # how long nothing was measured before it was resumed, seconds at the station
+        self.faults: tuple[str, ...] = ()  # of the units' sources now, as sentences
         self.late_samples = 0  # of units that were released; not recorded
         self.coverage = StepCoverage(self.units_left)
 

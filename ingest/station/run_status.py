@@ -20,7 +20,7 @@ def run_status(
     state, paused = log.state, publisher.paused
     silent = log.coverage.silent(clock.speed)
     pause = f"the recorder pauses: {paused}" if paused else ""
-    trouble = "; ".join(left) or publisher.warning or pause or decisions.silence or ""
+    trouble = "; ".join(left) or publisher.warning or pause or decisions.silence or "; ".join(log.faults)
     if silent and not trouble:
         trouble = f"nothing has come for {max(silent.values()):,.0f} s from {listed(list(silent))}"
     forecast_s = decisions.forecast_s()

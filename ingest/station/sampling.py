@@ -10,6 +10,7 @@ from uuid import UUID
 import numpy as np
 
 from ingest.instruments.base import Instrument, Reading
+from ingest.source_fault import Fault
 from stream.batch import SampleBatch
 from stream.errors import GyrofleetError, InstrumentError
 
@@ -65,6 +66,10 @@ class Sampler:
         self._thread: threading.Thread | None = None
         self.samples = self.missed = 0
         self.error: Exception | None = None
+
+    def faults(self) -> dict[tuple[str, Fault], str]:
+        """None: an instrument is no unit."""
+        return {}
 
     def start(self) -> None:
         """Begin to read."""

@@ -158,17 +158,22 @@ class StationSources:
         made: list[RunSource] = []
         run = log.state.run
         for name, plan in self._plans.items():
-            decoder = CanDecoder(plan, run=run, epoch_of=log.epoch_of)
+            decoder = CanDecoder(plan, run=run, epoch_of=log.epoch_of, is_live=self._clock.speed == 1.0)
             options = self._station.buses[name].bus
             made.append(
                 CanBus(
                     options, self._clock, decoder, log.deliver, report, wanted=plan.wanted,
-                    frame_counts=partial(_messages, decoder),
+                    frame_counts=partial(_messages, decoder), mapping=str(self._station.buses[name].mapping),
                 )
             )  # fmt: skip
         for name, line in self._lines.items():
             layout, unit, epoch = self._layouts[name], line.unit, log.epoch_of(line.unit)
-            made.append(SerialLine(line.port, line.baud, layout, unit, run, epoch, self._clock, log.deliver, report))
+            made.append(
+                SerialLine(
+                    line.port, line.baud, layout, unit, run, epoch, self._clock, log.deliver, report,
+                    layout_name=str(line.layout),
+                )
+            )  # fmt: skip
         return made
 
     def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[RunSource]:

@@ -16,6 +16,7 @@ from ingest.can.bus.frame_reports import FrameReports
 from ingest.can.bus.interface import CanBusOptions, CanIntake, filter_in_interface, open_intake
 from ingest.can.frames import FrameBlock
 from ingest.can.summary import MessageCount
+from ingest.source_fault import Fault
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
@@ -69,7 +70,8 @@ class CanBus:
     `most_waiting` frames wait, and those beyond are lost, counted and reported. `report` gets sentences in either
     thread. `wanted` are mapped identifiers, bit 31 set if of 29 bits; by default all. Frames are collected for
     `block_s`. `reopen_s` are the first and longest pause before a lost interface is opened again, seconds.
-    `frame_counts` gives the decoder's account of each message: lost, repeated and late frames are reported.
+    `frame_counts` gives the decoder's account of each message: lost, repeated and late frames are reported; `mapping`
+    names the file that states their intervals.
 
     >>> import can
     >>> class Nothing:
@@ -87,7 +89,7 @@ class CanBus:
         self, options: CanBusOptions, clock: StationClock, decoder: Decoder, deliver: Callable[[SampleBatch], None],
         report: Callable[[str], None], *, wanted: Collection[int] | None = None, block_s: float = BLOCK_S,
         most_waiting: int = 200_000, reopen_s: tuple[float, float] = (0.1, 5.0),
-        frame_counts: Callable[[], Iterable[MessageCount]] = tuple,
+        frame_counts: Callable[[], Iterable[MessageCount]] = tuple, mapping: str = "its mapping",
     ) -> None:  # fmt: skip
         self.options, self._clock, self._decoder, self._deliver = options, clock, decoder, deliver
         self._report_to = report
@@ -103,7 +105,7 @@ class CanBus:
             self._report, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
         )
         self._malformed = Losses(self._report, "are no frames of this bus and were left out: is fd set right")
-        self._frame_reports = FrameReports(frame_counts, self._report)
+        self._frame_reports = FrameReports(frame_counts, self._report, mapping)
         self._intake: CanIntake | None = None
         self._stopping = threading.Event()
         self._threads = [
@@ -126,6 +128,10 @@ class CanBus:
     def is_open(self) -> bool:
         """Whether the interface is there, as far as is known."""
         return self._intake is not None and self._outage.is_over and not self._stopping.is_set()
+
+    def faults(self) -> dict[tuple[str, Fault], str]:
+        """What keeps samples of units from being used, as far as their frames show it."""
+        return self._frame_reports.faults
 
     def start(self) -> None:
         """Open the interface and begin to receive; raises InstrumentError if it cannot be opened or was started."""

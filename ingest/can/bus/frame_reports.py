@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable
 
 from ingest.can.summary import COUNTED, MessageCount
+from ingest.source_fault import Fault
 
 _REPORT_EVERY_S, _LOOK_EVERY_S = 10.0, 1.0
 _MOST = 8  # messages that one report names
@@ -23,19 +24,30 @@ class FrameReports:
     unit FOG-1, message IMU: 2 frames lost, 900 received so far
     """
 
-    def __init__(self, counts: Callable[[], Iterable[MessageCount]], report: Callable[[str], None]) -> None:
-        self._counts, self._report = counts, report
+    def __init__(
+        self, counts: Callable[[], Iterable[MessageCount]], report: Callable[[str], None], mapping: str = "its mapping"
+    ) -> None:
+        self._counts, self._report, self._mapping = counts, report, mapping
         self._reported: dict[tuple[str, str, int], tuple[int, ...]] = {}
         self._reported_s = self._looked_s = float("-inf")
+        self.faults: dict[tuple[str, Fault], str] = {}  # of units, as of the last look
 
     def update(self, *, at_once: bool = False) -> None:
         """Report what is new since the last report, if that is long enough ago."""
         now_s = time.monotonic()
-        if not at_once and (now_s - self._reported_s < _REPORT_EVERY_S or now_s - self._looked_s < _LOOK_EVERY_S):
+        if not at_once and now_s - self._looked_s < _LOOK_EVERY_S:
             return
         self._looked_s = now_s
+        counts = list(self._counts())
+        self.faults = {
+            (each.unit, Fault.INTERVAL): each.seen.warning(f"unit {each.unit}, message {each.message}", self._mapping)
+            for each in counts
+            if each.seen is not None and each.seen.is_wrong
+        }
+        if not at_once and now_s - self._reported_s < _REPORT_EVERY_S:
+            return
         sentences = []
-        for count in self._counts():
+        for count in counts:
             key = count.unit, count.message, count.arbitration_id
             now = tuple(getattr(count, name) for name in _REPORTED)
             before = self._reported.get(key, (0,) * len(now))

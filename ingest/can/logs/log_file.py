@@ -76,6 +76,9 @@ class CanLogFile:
                 none += ": of an MF4 file only frames of a bus are read; export measured signals as CSV or Parquet"
             raise BadInput(f"{self._path}: {none}; {unknown}see `gyrofleet can scan`")
         for each in counts.messages:
+            if each.seen is not None and each.seen.is_wrong:
+                where = f"{self._path}: message {each.message} of unit {each.unit}"
+                raise BadInput(each.seen.sentence(where, "the mapping"))
             if each.frames > _FEW_FRAMES and each.late + each.retimed > each.frames / 2:
                 where = f"{self._path}: message {each.message} of unit {each.unit}"
                 raise BadInput(

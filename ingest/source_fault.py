@@ -1,0 +1,9 @@
+"""What a source of samples knows to be wrong with those of a unit."""
+
+from enum import Enum
+
+
+class Fault(Enum):
+    """A fault, with what it means for samples that lack."""
+
+    INTERVAL = "its interval_s is wrong, see the warning"
