@@ -7,3 +7,5 @@ class Fault(Enum):
     """A fault, with what it means for samples that lack."""
 
     INTERVAL = "its interval_s is wrong, see the warning"
+    NOT_READ = "it was not read while there was no room for its samples"
+    NO_FRAME = "what came made no frame: check its layout and baud"

@@ -129,6 +129,8 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         )  # fmt: skip
         path = stack.enter_context(reached)
         trouble = TroubleWatch(path.publisher, operator.report, lambda: decisions.silence, lambda: log.unsaved)
+        log.keep_waiting = partial(setattr, path.publisher, "waits_when_full")
+        log.keep_waiting(True)
         releases = _releases(asked, job, limits, decisions)
         operator.may_end_early = releases is not None
         why_left: list[str] = []
@@ -310,8 +312,11 @@ def _done(log: RunLog, verdicts: Mapping[str, str], folder: Path | None, *, has_
     """What to report of a run that has ended: what lacks, what the live limits say, and what to ask next."""
     short = log.state.short_records
     lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
+    lost, not_read = log.account.lost, log.account.not_read
+    lacking += f"{not_read:,} samples were not read while there was no room for them; " if not_read else ""
+    lacking += f"{lost - not_read:,} samples were lost on their way; " if lost > not_read else ""
     # what an earlier process had not on disk when it ended is known to nobody
-    which = "every sample that was kept" if log.is_resumed else "every sample"
+    which = "every sample that was kept" if log.is_resumed else "every other sample" if lost else "every sample"
     where = f"{lacking}{which} is recorded{_by_live_limits(verdicts)}"
     if folder is None:
         return where
@@ -347,7 +352,8 @@ def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark:
     if as_json:
         about = {"event": event, "run": state.run, "procedure": state.procedure, "units": list(state.units)}
         done = {"steps": steps, "steps_done": state.steps_done, "samples": log.samples}
-        short = {"short_records": state.short_records, "resumed": log.is_resumed, "gap_s": log.gap_s}
+        account = {"lost_samples": log.account.lost, "not_read_samples": log.account.not_read}
+        short = {"short_records": state.short_records, **account, "resumed": log.is_resumed, "gap_s": log.gap_s}
         released = {unit: _release(each) for unit, each in state.released.items()}
         outcome = state.outcome if event == "ended" else None
         print_json(

@@ -19,11 +19,12 @@ from stream.batch import SampleBatch
 from stream.errors import InstrumentError
 
 _LOOK_S = 0.05
+_LONG_S = 1.0  # a delivery that takes longer waits for room
 BATCH_S = 0.25
 _MOST_BYTES = 1 << 16
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 10.0
-_REPORT_EVERY_S = 10.0
+_REPORT_EVERY_S = _NO_FRAME_S = 10.0
 
 
 class SerialLine:
@@ -50,6 +51,9 @@ class SerialLine:
         self._port: Any = None
         self._bytes = bytearray()
         self._arrived_ns = 0
+        self._waited_s = 0.0  # for deliveries, since the last report
+        self._unframed = 0  # bytes since the last frame
+        self._framed_s = self._came_s = time.monotonic()
         self._reported = (0, 0, 0, 0)
         self._reported_s = -_REPORT_EVERY_S
         self._stop = threading.Event()
@@ -74,10 +78,18 @@ class SerialLine:
 
     def faults(self) -> dict[tuple[str, Fault], str]:
         """What keeps the unit's samples from being used, as far as the line shows it."""
+        found = {}
         seen = self.frames.times.seen
-        if seen is None or not seen.is_wrong:
-            return {}
-        return {(self._unit, Fault.INTERVAL): seen.warning(self._who, self._layout_name)}
+        if seen is not None and seen.is_wrong:
+            found[self._unit, Fault.INTERVAL] = seen.warning(self._who, self._layout_name)
+        now_s = time.monotonic()
+        if self._unframed and now_s - self._framed_s >= _NO_FRAME_S and now_s - self._came_s < _NO_FRAME_S / 2:
+            found[self._unit, Fault.NO_FRAME] = (
+                f"{self._who}: {self._unframed:,} bytes have come in {now_s - self._framed_s:.0f} s and none made a "
+                f"frame of {self._layout_name}: check sync, length and checksum there, and baud = {self._baud}; "
+                "lines of text cannot be described"
+            )
+        return found
 
     def _run(self) -> None:
         try:
@@ -125,12 +137,21 @@ class SerialLine:
         if self._bytes:
             data = bytes(self._bytes)
             self._bytes.clear()
-            self._give(self.frames.feed(data, self._arrived_ns))
+            frames, self._came_s = self.frames.counts.frames, time.monotonic()
+            batches = self.frames.feed(data, self._arrived_ns)
+            if self.frames.counts.frames > frames:
+                self._unframed, self._framed_s = 0, self._came_s
+            else:
+                self._unframed += len(data)
+            self._give(batches)
             self._report_losses()
 
     def _give(self, batches: list[SampleBatch]) -> None:
+        began_s = time.monotonic()
         for batch in batches:
             self._deliver(batch)
+        waited_s = time.monotonic() - began_s
+        self._waited_s += waited_s if waited_s > _LONG_S else 0.0
 
     def _report_losses(self, *, at_once: bool = False) -> None:
         """Report losses since the last report, at most once in 10 s."""
@@ -141,8 +162,10 @@ class SerialLine:
             return
         lost, repeated, dropped, restarts = (after - before for after, before in zip(now, self._reported, strict=True))
         self._reported, self._reported_s = now, time.monotonic()
+        why = f" (it was not read for {self._waited_s:.0f} s, while its samples waited)" if self._waited_s else ""
+        self._waited_s = 0.0
         self._report(
-            f"{self._who}: {lost} frames lost, {repeated} repeated, {dropped} bytes that belong to no frame, "
+            f"{self._who}: {lost} frames lost{why}, {repeated} repeated, {dropped} bytes that belong to no frame, "
             f"{restarts} new starts of the counter; {counts.frames} frames in all are good"
         )
 

@@ -8,36 +8,21 @@ from typing import Protocol
 from ingest.instruments.base import Instrument
 from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
-from ingest.source_fault import Fault
 from ingest.station.bench import StationBench
 from ingest.station.releases import Releases
 from ingest.station.rest import by_hand
-from ingest.station.run_limits import listed
 from ingest.station.run_log import RunLog
+from ingest.station.source_watch import RunSource, SourceWatch
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError, RunAborted
 
 _LOOK_S = 0.05
 _SAVE_EVERY_S = 5.0
-_SILENCE_EVERY_S = 1.0
 _LONG_S = 3600.0  # at the station; then what settles is reported
 _ASK_SETTLED_S = 1.0  # at the station
 _RETRY_S = 2.0
 _ARRIVE_S = 2.0  # how long the last samples of a step may take to come
-
-
-class RunSource(Protocol):
-    """Where samples come from: a bus, a serial line, the sampler of an instrument."""
-
-    def start(self) -> None:
-        """Begin to deliver."""
-
-    def stop(self) -> None:
-        """Deliver what has come, and end; never raises."""
-
-    def faults(self) -> Mapping[tuple[str, Fault], str]:
-        """What keeps samples of units from being used now, a sentence each."""
 
 
 class Operator(Protocol):
@@ -77,17 +62,14 @@ class StationRun:
         self._releases, self._on_record = releases, on_record
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
-        self._silent: dict[str, float] = {}
         self._sources: list[RunSource] = []
-        self._reported: set[tuple[str, Fault]] = set()
-        self._causes: dict[str, Fault] = {}  # of lacking samples in the step that is recorded
-        self._look_for_silence_s = 0.0
+        self._watched = SourceWatch(log, clock, self._sources, operator.report)
         self.unsafe: Mapping[str, str] = {}
 
     def report(self, text: str) -> None:
         """Note a report of a source or instrument in the run, and show it to the operator; from any thread."""
-        self._log.note(text)
         self._operator.report(text)
+        self._log.note(text)
 
     def go(self, sources: Callable[[], Sequence[RunSource]], samplers: Sequence[RunSource] = ()) -> None:
         """Carry out the steps; the station is made safe after the last one, and whatever happens.
@@ -116,8 +98,9 @@ class StationRun:
             troubles = self._bench.rest()  # before anything is sent, which may have to wait for a recorder
             rest_ns = self._clock.now_ns()
             self.unsafe = troubles | self._bench.not_at_rest(troubles)
-            _stop(active)
-            _stop(list(samplers))
+            self._stop(active)
+            self._stop(list(samplers))
+            self._watched.end()
             self._log.end_steps(outcome, cut_ns)
             self._report_rest(rest_ns)
 
@@ -158,7 +141,7 @@ class StationRun:
         return () if self._releases is None else self._releases.idle_supplies(self._log.state.released)
 
     def _restart(self, active: list[RunSource], sources: Callable[[], Sequence[RunSource]]) -> None:
-        _stop(active)
+        self._stop(active)
         for source in sources():
             active.append(source)
             source.start()
@@ -174,7 +157,7 @@ class StationRun:
             self._log.mark_unpowered()  # before it is: a resumed run then switches on, or off
             self._until(step, "switching off", partial(self._bench.switch, 0.0), self._settle_timeout_s)
             off_ns = self._clock.now_ns()
-            _stop(active)
+            self._stop(active)
             self._log.power_off(off_ns)
             self._pause(step, "power off", step.off_s)
         due = self._due(step)
@@ -188,7 +171,9 @@ class StationRun:
                 about=partial(self._bench.settling, what),
             )  # fmt: skip
         if step.power in {"cycle", "on"}:
-            _stop(active)  # sources of units that are off would number their first samples, and those made below anew
+            self._stop(
+                active
+            )  # sources of units that are off would number their first samples, and those made below anew
             self._until(step, "switching on", partial(self._bench.switch, 1.0, self._idle()), self._settle_timeout_s)
             self._log.power_on()
             restart()
@@ -203,19 +188,14 @@ class StationRun:
 
             def is_over() -> bool:
                 self._watch(step, off)
-                if time.monotonic() >= self._look_for_silence_s:
-                    self._look_for_silence_s = time.monotonic() + _SILENCE_EVERY_S
-                    self._watch_sources()
-                    self._watch_units(step)
                 return self._clock.now_ns() >= end_ns or self._is_released(step, since_ns)
 
-            self._causes.clear()
+            self._watched.begin_step()
             self._log.coverage.watch(is_recording=True)
             try:
                 self._until(step, "recording", is_over, None)
             finally:
                 self._log.coverage.watch(is_recording=False)
-            self._silent.clear()
             self._report_departures(step, off)
             if not self._log.units_left:
                 self.report("every unit is decided: the record ends early")
@@ -233,29 +213,6 @@ class StationRun:
             if what not in off:
                 self.report(f"warning: {self._named(step)}: {what} has left its band: {text}; the record goes on")
             off[what] = max(departure, off.get(what, 0.0))
-
-    def _watch_sources(self) -> None:
-        """Report what the sources find wrong with their units, each once."""
-        faults = {key: text for each in self._sources for key, text in each.faults().items()}
-        for (unit, fault), text in faults.items():
-            self._causes[unit] = fault
-            if (unit, fault) not in self._reported:
-                self._reported.add((unit, fault))
-                self._operator.report(f"warning: {text}")
-                self._log.note(f"warning: {text}", unit)
-        self._log.faults = tuple(faults.values())
-
-    def _watch_units(self, step: PlannedStep) -> None:
-        """Report units that fall silent while a step records, and those that deliver again."""
-        silent = self._log.coverage.silent(self._clock.speed)
-        left = set(self._log.units_left)
-        if new := [unit for unit in silent if unit not in self._silent]:
-            longest_s = max(silent[unit] for unit in new)
-            text = f"nothing has come for {longest_s:.0f} s from {listed(new)}: check wiring and power"
-            self.report(f"warning: {self._named(step)}: {text}")
-        if back := [unit for unit in self._silent if unit not in silent and unit in left]:
-            self.report(f"{self._named(step)}: samples come again from {listed(back)}")
-        self._silent = silent
 
     def _report_departures(self, step: PlannedStep, off: Mapping[str, float]) -> None:
         for what, departure in off.items():
@@ -289,10 +246,9 @@ class StationRun:
         self._until(step, "the last samples come", is_enough, None, is_recorded=True)
         lacking = coverage.lacking()
         for unit, what in lacking:
-            cause = self._causes[unit].value if unit in self._causes else "check its wiring and power"
-            text = f"warning: {self._named(step)}, unit {unit}: {what}; {cause}"
-            self._log.note(text, unit)
+            text = f"warning: {self._named(step)}, unit {unit}: {what}; {self._watched.cause(unit)}"
             self._operator.report(text)
+            self._log.note(text, unit)
         if lacking:
             self._log.add_short_records(len(dict(lacking)))
 
@@ -353,6 +309,7 @@ class StationRun:
             # what settles takes no time of the plan
             left_s = sum(map(lasts_s, self._steps[self._log.state.step + is_recorded :]))
             left_s -= passed_s if timeout_s is None else 0.0
+            self._watched.look(self._named(step))
             self._operator.at(step, f"{doing} ({more})" if more else doing, max(0.0, left_s))
             self._mark_seen()
             time.sleep(_LOOK_S)
@@ -381,8 +338,9 @@ class StationRun:
         if self._clock.now_ns() - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
             self._log.mark_seen()
 
-
-def _stop(sources: list[RunSource]) -> None:
-    for source in sources:
-        source.stop()
-    sources.clear()
+    def _stop(self, sources: list[RunSource]) -> None:
+        self._log.keep_waiting(False)
+        for source in sources:
+            source.stop()
+        sources.clear()
+        self._log.keep_waiting(True)

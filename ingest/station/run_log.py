@@ -4,7 +4,7 @@ import dataclasses
 import datetime as dt
 import string
 import threading
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
@@ -13,6 +13,7 @@ import msgspec
 
 from ingest.procedures.plan import PlannedStep
 from ingest.run_record import Outcome, Phase, RunRecord, document_uid, read_state
+from ingest.station.delivery_account import DeliveryAccount
 from ingest.station.releases import Release
 from ingest.station.run_limits import NO_LIMITS, RunLimits
 from ingest.station.station import Station
@@ -159,6 +160,8 @@ class RunLog(RunRecord[StationRunState]):
         self.faults: tuple[str, ...] = ()  # of the units' sources now, as sentences
         self.late_samples = 0  # of units that were released; not recorded
         self.coverage = StepCoverage(self.units_left)
+        self.account = DeliveryAccount(clock)
+        self.keep_waiting: Callable[[bool], None] = lambda _: None  # for room in a full spool, or not without end
 
     @property
     def units_left(self) -> tuple[str, ...]:
@@ -182,7 +185,8 @@ class RunLog(RunRecord[StationRunState]):
         first = self._first[stream]
         if first:
             batch = dataclasses.replace(batch, seq=batch.seq + first)
-        self._sender.send_batch(key, batch)
+        with self.account.delivering(batch):
+            self._sender.send_batch(key, batch)
         self.coverage.see(batch)
 
     def begin(

@@ -18,10 +18,10 @@ from ingest.instruments.visa import serial_port
 from ingest.serial.frame_layout import FrameLayout, load_layout
 from ingest.serial.serial_line import BATCH_S, SerialLine, device_of, open_port
 from ingest.station.room import Flow
-from ingest.station.run import RunSource
 from ingest.station.run_log import RunLog
 from ingest.station.sampling import BATCH_S as INSTRUMENT_BATCH_S
 from ingest.station.sampling import Sampler
+from ingest.station.source_watch import RunSource
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError

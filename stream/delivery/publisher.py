@@ -51,7 +51,8 @@ class DurablePublisher:
     stream the recorder is polled, doubled each time, up to 10 s; after `timeout_s` waiting ends with an error. A
     recorder that reports a pause is not silent. All goes to the store of the identity `only_store`, by default that of
     the first recorder that has taken something; answers of recorders of other stores are ignored. A `spool` keeps
-    messages on disk, and earlier ones are sent first; the caller closes it after the publisher.
+    messages on disk, and earlier ones are sent first; the caller closes it after the publisher. With `waits_when_full`
+    senders wait for room in it without end: a gyro goes on sending, and is to be read again when a recorder is there.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class DurablePublisher:
     ) -> None:  # fmt: skip
         self._bus, self._window_bytes, self._resend_after_s = bus, window_bytes, resend_after_s
         self._timeout_s, self._spool = timeout_s, spool
+        self.waits_when_full = False
         self._credentials = credentials_of(bus)
         self._prover = None if self._credentials is None else SourceProver(self._credentials)
         self._most_bytes = MAX_MESSAGE_BYTES - (0 if self._prover is None else PROOF_BYTES)
@@ -110,7 +112,7 @@ class DurablePublisher:
     @property
     def warning(self) -> str | None:
         """Current warning, for people; None if there is none."""
-        failure = self._spool.failure if self._spool is not None else None
+        failure = None if self._spool is None else self._spool.failure or self._spool.room.warning
         ending = None if self._credentials is None else self._credentials.trouble
         return failure or self._out.warning or self._silence or ending
 
@@ -129,7 +131,7 @@ class DurablePublisher:
         payload = stream.encoder.encode(batch)
         if len(payload) > self._most_bytes:
             raise WireError(f"{key}: {len(payload):,} bytes in a batch, a message may have {self._most_bytes:,}")
-        if self._accept(stream, seq, seq + len(batch), payload):
+        if self._accept(stream, seq, seq + len(batch), payload, is_document=False):
             self._publish(stream, payload)
 
     def send_event(self, key: str, document: AnyDocument) -> None:
@@ -143,7 +145,7 @@ class DurablePublisher:
         with self._numbering:  # a number is sent before the next is assigned
             seq = self._event_seq.get(key, 0)
             payload = encode_event(document, self._epoch, seq)
-            is_due = self._accept(stream, seq, seq + 1, payload)
+            is_due = self._accept(stream, seq, seq + 1, payload, is_document=True)
             self._event_seq[key] = seq + 1
             if is_due:
                 self._publish(stream, payload)
@@ -204,12 +206,12 @@ class DurablePublisher:
         key, message = stream.id.key, stream.on_wire(payload)
         self._bus.publish(key, message if self._prover is None else self._prover.prove(key, message))
 
-    def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
+    def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes, *, is_document: bool) -> bool:
         """Keep a message until it is acknowledged; returns whether it is published now."""
         is_kept = False
         with self._lock:
             if self._spool is not None:
-                is_held, is_kept = self._keep(self._spool, stream, seq, next_seq, payload)
+                is_held, is_kept = self._keep(self._spool, stream, seq, next_seq, payload, is_document=is_document)
                 if not is_held:
                     return False  # on disk; it is sent when its turn comes
             elif not self._out.fits(len(payload)):
@@ -218,16 +220,18 @@ class DurablePublisher:
                 self._check()
             return self._out.hold(stream, HeldMessage(seq, next_seq, payload, is_kept))
 
-    def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> tuple[bool, bool]:
+    def _keep(
+        self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes, *, is_document: bool
+    ) -> tuple[bool, bool]:
         """Put a message into the spool; returns whether it is held in memory, and whether the spool has it."""
         began = time.monotonic()
         while True:
             self._check()
             fits = not self._is_spooled() and self._out.fits(len(payload))
             try:
-                spool.append(stream.id, seq, next_seq, payload, taken=fits)
+                spool.append(stream.id, seq, next_seq, payload, taken=fits, is_document=is_document)
             except SpoolFull as error:
-                self._wait(began, f"{error}: ")
+                self._wait(time.monotonic() if self.waits_when_full else began, f"{error}: ")
             except SpoolError:
                 while self._is_spooled():  # messages on disk are sent before
                     self._wait(began)

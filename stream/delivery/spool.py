@@ -15,6 +15,7 @@ from pathlib import Path
 
 from stream.closing import Closing
 from stream.delivery.spool_frames import FIRST_STREAM, encode_frame
+from stream.delivery.spool_room import SpoolRoom
 from stream.delivery.spool_streams import (
     SUFFIX,
     SpooledMessage,
@@ -79,7 +80,7 @@ class Spool(Closing):
         self.damages: list[str] = []
         self.failure: str | None = None
         self.waiting = 0
-        self._max_bytes = max_bytes
+        self.room = SpoolRoom(folder, max_bytes)
         self._file_bytes = min(file_bytes, max_bytes // _LEAST_FILES)
         self._sync_interval_s = sync_interval_s
         self._table = StreamTable()
@@ -136,10 +137,14 @@ class Spool(Closing):
         state = self._table.streams.get(stream)
         return 0 if state is None else state.appended
 
-    def append(self, stream: StreamId, seq: int, next_seq: int, payload: bytes, *, taken: bool = False) -> None:
+    def append(
+        self, stream: StreamId, seq: int, next_seq: int, payload: bytes, *, taken: bool = False,
+        is_document: bool = False,
+    ) -> None:  # fmt: skip
         """Keep a message; one that is `taken` is not read back by this process.
 
-        Raises a SpoolFull if there is no room; there is when more has been acknowledged. Raises a SpoolError if it
+        Raises a SpoolFull if there is no room, of which documents have more than samples; there is when more has been
+        acknowledged. Raises a SpoolError if it
         cannot be written. It is then not kept; after a second a new file is tried.
         """
         with self._lock:
@@ -151,12 +156,13 @@ class Spool(Closing):
                     state = self._table.add(stream)
                     self._write(self._table.rows([state]))
                 frame = encode_frame(state.number, seq, next_seq, payload)
-                if self._bytes + len(frame) > self._max_bytes:
-                    self._make_room(len(frame))
+                if not self.room.fits(self._bytes + len(frame), is_document=is_document):
+                    self._make_room(len(frame), is_document=is_document)
                 self._write(frame)
             except OSError as error:
                 raise self._failed(error) from error
             self.failure = None
+            self.room.grew(self._bytes)
             state.appended = next_seq
             file = self._files[-1]
             file.last[state.number] = next_seq
@@ -179,6 +185,7 @@ class Spool(Closing):
                 self._table.store = store
                 state.acknowledged = next_seq
                 self._moved.add(state.number)
+                self.room.acknowledged()
 
     def rebase(self, stream: StreamId, base: int) -> None:
         """Record that the messages before `base` are lost and the stream continues under another epoch."""
@@ -273,11 +280,11 @@ class Spool(Closing):
         )
         return SpoolError(self.failure)
 
-    def _make_room(self, needed: int) -> None:
+    def _make_room(self, needed: int, *, is_document: bool) -> None:
         if not self.unacknowledged:
             self._begin_file()
         self._drop_acknowledged()
-        if self._bytes + needed > self._max_bytes:
+        if not self.room.fits(self._bytes + needed, is_document=is_document):
             raise SpoolFull(
                 f"the spool {self.folder} is full: {self._bytes / 1e6:.0f} MB wait for a recorder; start "
                 f"`gyrofleet record` again, or let the spool be larger"
