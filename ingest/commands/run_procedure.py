@@ -316,7 +316,9 @@ def _done(log: RunLog, verdicts: Mapping[str, str], folder: Path | None, *, has_
     lacking += f"{not_read:,} samples were not read while there was no room for them; " if not_read else ""
     lacking += f"{lost - not_read:,} samples were lost on their way; " if lost > not_read else ""
     # what an earlier process had not on disk when it ended is known to nobody
-    which = "every sample that was kept" if log.is_resumed else "every other sample" if lost else "every sample"
+    which = "every sample that was kept" if log.is_resumed else "every sample"
+    if not log.is_resumed and (lost or log.account.has_waited):
+        which = "every other sample"
     where = f"{lacking}{which} is recorded{_by_live_limits(verdicts)}"
     if folder is None:
         return where

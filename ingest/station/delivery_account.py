@@ -2,6 +2,7 @@
 
 import datetime as dt
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ class _Hold:
 class DeliveryAccount:
     """Counts samples that lack between those that are delivered, and those of them of times when delivery waited.
 
+    A signal on no grid has no count: where that shows late, what was counted before was its wrong interval.
     While the delivery of a unit's samples waits its source is not read, so that what the unit sends is lost. `lost`
     are all that lack, `not_read` those of such times.
     """
@@ -36,7 +38,14 @@ class DeliveryAccount:
         self._last_ns: dict[tuple[str, str, UUID], int] = {}
         self._hold: _Hold | None = None
         self._lock = threading.Lock()
-        self.lost = self.not_read = 0
+        self._lost: Counter[tuple[str, str, UUID]] = Counter()
+        self.not_read = 0
+        self.has_waited = False  # so that samples may lack that nothing counts
+
+    @property
+    def lost(self) -> int:
+        """All samples that lack."""
+        return self._lost.total()
 
     @contextmanager
     def delivering(self, batch: SampleBatch) -> Iterator[None]:
@@ -52,6 +61,7 @@ class DeliveryAccount:
                 unit, began_ns = self._began_ns.pop(me)
                 now_ns = self._clock.now_ns()
                 if now_ns - began_ns > self._held_ns:
+                    self.has_waited = True
                     hold = self._hold = self._hold or _Hold(set(), began_ns, now_ns)
                     hold.units.add(unit)
                     hold.began_ns, hold.ended_ns = min(hold.began_ns, began_ns), now_ns
@@ -88,12 +98,15 @@ class DeliveryAccount:
             return
         stream = batch.unit, batch.signal, batch.epoch
         before_ns, self._last_ns[stream] = self._last_ns.get(stream), batch.last_ns
-        if before_ns is None or batch.irregular:
+        if batch.irregular:
+            self._lost.pop(stream, None)
+            return
+        if before_ns is None:
             return
         lost = round((batch.last_ns - before_ns) / batch.dt_ns) - len(batch)
         if lost <= 0:
             return
-        self.lost += lost
+        self._lost[stream] += lost
         hold = self._hold
         if hold is not None and before_ns <= hold.ended_ns and batch.last_ns >= hold.began_ns:
             hold.not_read += lost

@@ -196,6 +196,7 @@ class StationRun:
                 self._until(step, "recording", is_over, None)
             finally:
                 self._log.coverage.watch(is_recording=False)
+                self._watched.end_record()
             self._report_departures(step, off)
             if not self._log.units_left:
                 self.report("every unit is decided: the record ends early")

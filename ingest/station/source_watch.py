@@ -41,6 +41,9 @@ class SourceWatch:
     def begin_step(self) -> None:
         """A step is recorded from now on."""
         self._causes.clear()
+
+    def end_record(self) -> None:
+        """Nothing is recorded any more: nobody is silent."""
         self._silent.clear()
 
     def cause(self, unit: str) -> str:

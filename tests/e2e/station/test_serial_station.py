@@ -22,6 +22,7 @@ def test_a_wrong_interval_of_a_layout_is_named_and_its_samples_are_on_no_grid(
             "--yes", "--run", "r",
         )  # fmt: skip
     assert done.code == 0, done.err
+    assert "every sample is recorded" in done.out
     notes = kept.rows(
         "select unit, document->>'$.text' as text from events where kind = 'NoteAdded' order by unit nulls first, t_ns"
     )
@@ -55,3 +56,4 @@ def test_lines_of_text_are_no_silence(gyrofleet: Gyrofleet, kept: Kept, store: P
     assert "s and none made a frame of G1.toml: check sync, length and checksum there, and baud = 115200" in notes
     assert "no sample came; what came made no frame: check its layout and baud" in notes
     assert "wiring" not in notes
+    assert "come again" not in notes
