@@ -74,11 +74,12 @@ def rate_statistics(
     at_ns = t_ns[0] + block_ns * np.arange(len(rates), dtype=np.int64)
     ones, zeros = np.ones(len(rates), np.int64), np.zeros(len(rates))
     found = series_statistics(
-        at_ns, ones, rates, zeros, base_ns=block_ns, samples_per_block=1.0, window_ns=(int(t_ns[0]), int(t_ns[-1]))
-    )
+        at_ns, ones, rates, zeros, base_ns=block_ns, samples_per_block=1.0, window_ns=(int(t_ns[0]), int(t_ns[-1])),
+        samples=np.empty(0),
+    )  # fmt: skip
     quantised = step / math.sqrt(6.0) / whole_s
     u = found.standard_uncertainty if len(rates) > 1 else quantised or math.nan
     return found._replace(
         mean=float((angles[-1] - angles[0]) / whole_s), standard_uncertainty=u if math.isnan(u) else max(u, quantised),
-        still=0.0, piled=0.0,
+        still=0.0,
     )  # fmt: skip

@@ -2,23 +2,20 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
+from analytics.step_records.evaluated_signal import SECOND_NS, EvaluatedSignal
 from analytics.step_records.integrated_output import is_integrated, rate_statistics
+from analytics.step_records.raw_looks import RawLooks
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
-# A stretch of more samples is reduced from the store's means of 1 s, over the whole seconds within it: fast for months
-# of samples, and possible where raw samples were dropped.
-MOST_RAW = 20_000
-SECOND_NS = 1_000_000_000
-# In a shorter stretch the whole seconds are too small a part, or none: irregular samples are used as they are.
-SHORT_NS = 10 * SECOND_NS
 _ROWS_AT_ONCE = 5_000_000
 _RUNS_AT_ONCE = 50
 # a statement that reads several runs also reads what lies between the steps of each
@@ -39,51 +36,6 @@ COLUMNS = pa.schema({
 T = TypeVar("T")
 
 
-class _EvaluatedSignal(NamedTuple):
-    """A signal of a run, and those of its evaluated stretches that are read from raw samples, or from means of 1 s."""
-
-    run: str
-    unit: str
-    signal: str
-    unit_of_measure: str
-    dt_ns: int
-    irregular: bool
-    samples: int
-    kept_raw: int
-    step: float
-    windows: tuple[tuple[int, int], ...]
-    is_raw: bool = True
-
-    def halves(self) -> Iterator["_EvaluatedSignal"]:
-        """The stretches of a signal that are read from raw samples, and the others, where there are any."""
-        raw = [self._is_raw(window) for window in self.windows]
-        for is_raw in (True, False):
-            windows = tuple(window for window, each in zip(self.windows, raw, strict=True) if each == is_raw)
-            if windows:
-                yield self._replace(windows=windows, is_raw=is_raw)
-
-    def _is_raw(self, window: tuple[int, int]) -> bool:
-        expected = (window[1] - window[0]) / max(self.dt_ns, 1)
-        is_slow = self.dt_ns >= SECOND_NS // 2
-        is_gridded = not self.irregular or window[1] - window[0] < SHORT_NS
-        is_short = is_slow or is_integrated(self.signal) or (expected <= MOST_RAW and is_gridded)
-        return self.kept_raw == self.samples and is_short
-
-    @property
-    def rows(self) -> float:
-        """Rows of its stretches."""
-        return sum(max(end - start, 0) for start, end in self.windows) / self._row_ns
-
-    @property
-    def all_rows(self) -> float:
-        """Rows of the whole signal."""
-        return self.samples * max(self.dt_ns, 1) / self._row_ns
-
-    @property
-    def _row_ns(self) -> int:
-        return max(self.dt_ns, 1) if self.is_raw else SECOND_NS
-
-
 def reduce_runs(catalog: Catalog, runs: Sequence[str]) -> Iterator[tuple[int, pa.Table]]:
     """Reduce every completed step of runs; yields how many runs are done, and their records.
 
@@ -100,18 +52,19 @@ def reduce_runs(catalog: Catalog, runs: Sequence[str]) -> Iterator[tuple[int, pa
             yield len(together), _reduce(catalog, [each for run in together for each in signals[run]])
 
 
-def _reduce(catalog: Catalog, signals: Sequence[_EvaluatedSignal]) -> pa.Table:
+def _reduce(catalog: Catalog, signals: Sequence[EvaluatedSignal]) -> pa.Table:
     rows: list[dict[str, Any]] = []
     for is_raw in (True, False):
         for group in _filled((each, each.rows) for each in signals if each.is_raw == is_raw):
             found = _fetched(catalog, group, is_raw=is_raw)
-            for each in group:
-                rows.extend(_reduced(each, found.get((each.run, each.unit, each.signal)), is_raw=is_raw))
+            with nullcontext() if is_raw else RawLooks(catalog, group) as looks:
+                for each in group:
+                    rows.extend(_reduced(each, found.get((each.run, each.unit, each.signal)), looks))
     rows.sort(key=lambda row: (row["run"], row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
     return pa.Table.from_pylist(rows, schema=COLUMNS)
 
 
-def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[_EvaluatedSignal]]:
+def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[EvaluatedSignal]]:
     """Signals by run."""
     # in order, and each once: steps may be alike
     windows: defaultdict[str, dict[str, dict[tuple[int, int], None]]] = defaultdict(dict)
@@ -122,20 +75,20 @@ def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[_Ev
     ):
         windows[run].setdefault(unit, {})[start, end] = None
     everywhere = {run: sorted({window for each in own.values() for window in each}) for run, own in windows.items()}
-    found: defaultdict[str, list[_EvaluatedSignal]] = defaultdict(list)
+    found: defaultdict[str, list[EvaluatedSignal]] = defaultdict(list)
     for run, unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
         "select run, unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "
         "from signals where run in $runs order by run, unit, signal",
         {"runs": runs},
     ):
-        found[run] += _EvaluatedSignal(
+        found[run] += EvaluatedSignal(
             run, unit, signal, unit_of_measure, round((interval_s or 0.0) * 1e9), bool(irregular), samples, kept_raw,
             abs(scale) if is_counts and scale else 0.0, tuple(windows[run].get(unit, everywhere.get(run, ()))),
         ).halves()  # fmt: skip
     return found
 
 
-def _rows_of_run(signals: Sequence[_EvaluatedSignal]) -> float:
+def _rows_of_run(signals: Sequence[EvaluatedSignal]) -> float:
     """Rows of a run for reading it together with others: as many as fit where little of it is evaluated."""
     within, whole = sum(each.rows for each in signals), sum(each.all_rows for each in signals)
     return whole if within >= _LEAST_EVALUATED * whole else _ROWS_AT_ONCE
@@ -155,7 +108,19 @@ def _filled(sized: Iterable[tuple[T, float]]) -> Iterator[list[T]]:
         yield group
 
 
-_Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
+class _Blocks(NamedTuple):
+    """Samples, or means of seconds, by time: when each begins, its samples, their mean, sum of squares and extremes."""
+
+    start_ns: IntArray
+    n: IntArray
+    mean: FloatArray
+    m2: FloatArray
+    lo: FloatArray
+    hi: FloatArray
+
+    def within(self, rows: slice) -> "_Blocks":
+        """Some of them."""
+        return _Blocks(self.start_ns[rows], self.n[rows], self.mean[rows], self.m2[rows], self.lo[rows], self.hi[rows])
 
 
 _WITHIN = """
@@ -166,10 +131,10 @@ select run, unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2
 from internal.samples_in($paths) {_WITHIN} order by run, unit, signal, t_ns, seq
 """  # noqa: S608
 # not sorted: the lake has them in order but for runs in several parts, and sorting takes as long as reading
-_SECONDS = f"select run, unit, signal, t_ns, n, mean, m2 from internal.rollup_1s_in($paths) {_WITHIN}"  # noqa: S608
+_SECONDS = f"select run, unit, signal, t_ns, n, mean, m2, lo, hi from internal.rollup_1s_in($paths) {_WITHIN}"  # noqa: S608
 
 
-def _fetched(catalog: Catalog, group: list[_EvaluatedSignal], *, is_raw: bool) -> dict[tuple[str, str, str], _Blocks]:
+def _fetched(catalog: Catalog, group: list[EvaluatedSignal], *, is_raw: bool) -> dict[tuple[str, str, str], _Blocks]:
     """Samples, or means of seconds, of each run, unit and signal by time."""
     sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
     runs, units = (sorted({getattr(each, name) for each in group}) for name in ("run", "unit"))
@@ -189,7 +154,7 @@ def _fetched(catalog: Catalog, group: list[_EvaluatedSignal], *, is_raw: bool) -
         return {}
     names = [table[name].combine_chunks().dictionary_encode() for name in ("run", "unit", "signal")]
     changes = np.logical_or.reduce([np.diff(np.asarray(each.indices)) != 0 for each in names])
-    t_ns, n, mean, m2 = (table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2"))
+    columns = [table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2", "lo", "hi") if name in table.column_names]
     stretches: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
     edges = np.flatnonzero(np.r_[True, changes, True])
     for start, end in pairwise(edges.tolist()):
@@ -197,16 +162,18 @@ def _fetched(catalog: Catalog, group: list[_EvaluatedSignal], *, is_raw: bool) -
         stretches.setdefault((run, unit, signal), []).append((start, end))
     found = {}
     for name, own in stretches.items():
-        parts = [[each[start:end] for start, end in own] for each in (t_ns, n, mean, m2)]
+        parts = [[each[start:end] for start, end in own] for each in columns]
         rows = [each[0] if len(each) == 1 else np.concatenate(each) for each in parts]
         if not is_raw and (np.diff(rows[0]) <= 0).any():
             order = np.lexsort((rows[2], rows[1], rows[0]))  # also of blocks of the same time, as after a power cycle
             rows = [each[order] for each in rows]
-        found[name] = (rows[0], rows[1], rows[2], rows[3])
+        lo, hi = (rows[2], rows[2]) if is_raw else rows[4:]
+        found[name] = _Blocks(rows[0], rows[1], rows[2], rows[3], lo, hi)
     return found
 
 
-def _reduced(signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
+def _reduced(signal: EvaluatedSignal, blocks: _Blocks | None, looks: RawLooks | None) -> Iterator[dict[str, Any]]:
+    is_raw = looks is None
     base_ns = max(signal.dt_ns, 1) if is_raw else SECOND_NS
     per_block = 1.0 if is_raw else SECOND_NS / max(signal.dt_ns, 1)
     for window in signal.windows:
@@ -219,20 +186,20 @@ def _reduced(signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) 
         row["whole_seconds"] = None if is_raw else max(_seconds_begun(begins), 0)
         within = slice(0, 0)
         if blocks is not None:
-            first = int(np.searchsorted(blocks[0], begins[0]))
-            last = int(np.searchsorted(blocks[0], begins[1], side="right"))
+            first = int(np.searchsorted(blocks.start_ns, begins[0]))
+            last = int(np.searchsorted(blocks.start_ns, begins[1], side="right"))
             within = slice(first, max(first, last))
         if blocks is None or within.start == within.stop:
             settled = "no sample in the evaluated part of the step"
             yield row | {"reason": settled if window[0] <= window[1] else "the step ended before its settle time"}
             continue
-        start_ns, n, mean, m2 = blocks
+        start_ns, n, mean, m2, lo, hi = blocks.within(within)
         if is_integrated(signal.signal):
-            yield row | _of_rate(start_ns[within], n[within], mean[within], signal)
+            yield row | _of_rate(start_ns, n, mean, signal)
             continue
         found = series_statistics(
-            start_ns[within], n[within], mean[within], m2[within], base_ns=base_ns, samples_per_block=per_block,
-            window_ns=begins, step=signal.step,
+            start_ns, n, mean, m2, base_ns=base_ns, samples_per_block=per_block, window_ns=begins, step=signal.step,
+            samples=mean if looks is None else looks.samples(signal, window, lo, hi),
         )  # fmt: skip
         yield row | _numbers(found)
 
@@ -251,7 +218,7 @@ def _seconds_begun(begins: tuple[int, int]) -> int:
     return begins[1] // SECOND_NS + -begins[0] // SECOND_NS + 1
 
 
-def _of_rate(start_ns: IntArray, n: IntArray, angles: FloatArray, signal: _EvaluatedSignal) -> dict[str, Any]:
+def _of_rate(start_ns: IntArray, n: IntArray, angles: FloatArray, signal: EvaluatedSignal) -> dict[str, Any]:
     """Statistics of the rate of an integrated output."""
     found = rate_statistics(start_ns, angles, signal.unit_of_measure, signal.step)
     if found is None:

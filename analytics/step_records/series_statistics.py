@@ -15,6 +15,7 @@ from analytics.step_records.record_noise import (
 )
 from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_averages
 from stream.batch import FloatArray, IntArray
+from stream.defects.coarse_resolution import rounding_bound
 from stream.defects.outliers import count_outliers, piled_share
 
 AVERAGES_S = (1.0, 10.0, 100.0)
@@ -57,7 +58,7 @@ def samples_statistics(t_ns: IntArray, values: FloatArray, window_ns: tuple[int,
 
 def series_statistics(
     start_ns: IntArray, counts: IntArray, means: FloatArray, squares: FloatArray, *, base_ns: int,
-    samples_per_block: float, window_ns: tuple[int, int], step: float = 0.0,
+    samples_per_block: float, window_ns: tuple[int, int], step: float = 0.0, samples: FloatArray | None = None,
 ) -> SeriesStatistics:  # fmt: skip
     """Reduce the blocks of a stretch.
 
@@ -76,7 +77,12 @@ def series_statistics(
     degrees of freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less where the subsets
     differ. With fewer than 8 blocks it is sd/sqrt(n).
 
-    For a signal constant at one count the quantisation, step/sqrt(12), is added where sd < step.
+    `samples`: raw ones to look at for values that are too frequent, and for a coarse resolution; by default the means
+    where each block is one sample, else none.
+
+    For a signal constant at one count the quantisation, step/sqrt(12), is added where sd < step; for noise that is
+    rounded to few values `rounding_bound` as the half width of an arcsine distribution, bound/sqrt(2), if that is more.
+    The degrees of freedom stay those of the scatter.
 
     The standard deviation of P-second means (JJF 2014-2022 7.2.14 (29)) takes means on the grid of the source's clock
     that have 90 % of their samples.
@@ -115,10 +121,10 @@ def series_statistics(
         fit = fit_noise(taus_s, variances, freedoms, duration_s=valid_s, sample_s=base_s / samples_per_block)
         u_squared, freedom = variance_of_mean(fit, valid_s, dense.size)
         parts = fit.mean
-    if sd < step:
-        u_squared += step * step / 12
+    samples = np.ldexp(samples, -exponent) if samples is not None else means[: means.size * (n == means.size)]
+    u_squared += max(step * step / 12 if sd < step else 0.0, rounding_bound(samples) ** 2 / 2)
     far = count_outliers([means])
-    piled, piled_at = piled_share(means) if n == means.size and still < 1.0 else (0.0, math.nan)
+    piled, piled_at = piled_share(samples) if samples.size and still < 1.0 else (0.0, math.nan)
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
         n=n, mean=_scaled(mean, exponent), sd=_scaled(sd, exponent),

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from uuid import UUID
 
 import numpy as np
@@ -14,13 +14,17 @@ import pyarrow as pa
 from storage.lake.tables import SAMPLES_FILE, damaged
 from storage.sql.catalog import Catalog
 from storage.sql.columns import numbers, rows_with
-from storage.sql.footers import UNREADABLE
+from storage.sql.footers import UNREADABLE, Footer
 from storage.sql.lake_source import LakeSource
 from storage.store import Store
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
 
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
 _ROWS = 122_880  # DuckDB's row group
+MOST_GROUPS = 5  # of which a look at a record reads some rows
 _RECORDS = "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () from signals s"
 _LONGEST = f"""
 {_RECORDS} left join runs r on r.run = s.run where s.unit = $unit and s.signal = $signal
@@ -166,6 +170,38 @@ def rows_between(
     found = {name: numbers(rows.column(name)) for name in names}
     inside = (found["channel"] == channel) & (found[column] >= first) & (found[column] < stop)
     return tuple(found[name][inside] for name in columns)
+
+
+def rows_at_beginnings(
+    file: "pq.ParquetFile", footer: Footer, channel: int, columns: Sequence[str], windows: Sequence[tuple[int, int]],
+    rows: int, dt_ns: int,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """Times of a channel in an open file of samples, and the sum of some columns: the beginning of each window.
+
+    That is about `rows`, `dt_ns` apart, shared out to at most `MOST_GROUPS` row groups in the window: they are decoded
+    from their beginning to the last row that is wanted.
+    """
+    begins, ends = footer.bounds("t_ns")
+    until_ns: dict[int, int] = {}
+    size = rows
+    for first, last in windows:
+        groups = footer.groups_between(channel, "t_ns", first, last + 1)
+        groups = groups[:: -(-len(groups) // MOST_GROUPS) or 1]
+        for group in groups:
+            each = max(rows // len(groups), 1)
+            stop = min(max(int(begins[group]), first) + (each - 1) * dt_ns, int(ends[group]))
+            until_ns[group], size = max(until_ns.get(group, 0), stop), min(size, each)
+    times, found = [np.empty(0, np.int64)], [np.empty(0)]
+    for group, stop in until_ns.items():
+        for batch in file.iter_batches(size, [group], ["channel", "t_ns", *columns], use_threads=False):
+            own, t_ns, *data = (numbers(each) for each in batch.columns)
+            values = data[0] + data[1] if len(data) > 1 else data[0]
+            is_own = slice(None) if own[0] == own[-1] == channel else own == channel
+            times.append(t_ns[is_own])
+            found.append(values[is_own])
+            if times[-1].size and times[-1][-1] >= stop:
+                break
+    return np.concatenate(times), np.concatenate(found, dtype=np.float64)
 
 
 def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int) -> NotFound:

@@ -13,7 +13,7 @@ _MOTION = 0.01
 _PER_MEDIAN = 1.4826
 _BESIDE = 3
 WORTH_A_WORD = 0.01  # relative increase of N from which outliers are reported
-_FEWEST_LEVELS, _FEWEST_PILED, _LEAST_PILED, _PILED_TIMES, _APART_TIMES = 16, 10, 0.01, 3.0, 3.0
+FEWEST_LEVELS, _FEWEST_PILED, _LEAST_PILED, _PILED_TIMES, _APART_TIMES = 16, 10, 0.01, 3.0, 3.0
 _MARGIN, _FEWEST_AFTER = 5.0, 5
 
 
@@ -110,9 +110,9 @@ def piled_share(values: FloatArray) -> tuple[float, float]:
     ((0.126, 1.0), 0.0, 0.0)
     """
     levels, counts = np.unique(values, return_counts=True)
-    piled = [at for at in {0, levels.size - 1} if counts[at] > 1 and _is_apart(levels, at)]
+    piled = [at for at in {0, levels.size - 1} if counts[at] > 1 and is_apart(levels, at)]
     ends = np.searchsorted(np.cumsum(counts), values.size * np.array([0.05, 0.95]))
-    if not piled and int(np.ptp(ends)) + 1 >= _FEWEST_LEVELS:
+    if not piled and int(np.ptp(ends)) + 1 >= FEWEST_LEVELS:
         first = np.argsort(-counts, kind="stable")[:3]
         usual = _PILED_TIMES * float(counts[first[2]])
         # beyond what counts scatter by
@@ -130,7 +130,7 @@ def _levels_after(values: FloatArray, piled: FloatArray) -> int:
     return int(np.unique(values[1:][is_piled[:-1] & ~is_piled[1:]]).size)
 
 
-def _is_apart(levels: FloatArray, at: int) -> bool:
+def is_apart(levels: FloatArray, at: int) -> bool:
     """Whether a value is farther from all others than three times their range."""
     others = np.delete(levels, at)
     return others.size > 1 and float(np.abs(others - levels[at]).min()) > _APART_TIMES * float(np.ptp(others))

@@ -104,7 +104,7 @@ def fleet(folder: Path, units: int, days: int, tries: int) -> dict[str, Any]:
 # What the lake's means of seconds are made from, by SQL from the raw rows; the sums of squares in a second pass
 FROM_RAW = """
 select unit, signal, t_ns // 1000000000 * 1000000000 as t_ns, count(*) as n, avg(value) as mean,
-  var_pop(value) * count(*) as m2
+  var_pop(value) * count(*) as m2, min(value) as lo, max(value) as hi
 from samples
 where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
   and t_ns between $first and $last

@@ -8,7 +8,7 @@ create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess
         || 'coarse to show noise'
       when still >= 0.05 and n * still >= 10 then round(n * still)::bigint || ' of ' || n || ' samples in a row are alike: the output '
         || 'was frozen, or its resolution is too coarse to show noise'
-      when piled > 0 then round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
+      when piled > 0 then if(n > 1000000, 'about ', '') || round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
         || printf('%.5g', piled_at) || ' ' || measure || ': clipped at an end of the range, or lost samples written as it' end,
     case when outliers_move_mean(outliers, outlier_excess) then format('isolated outliers ({}) raise the noise {:.3g} times '
         || 'and may move the mean by more than the noise does: it has no interval', outliers, 1 + outlier_excess)

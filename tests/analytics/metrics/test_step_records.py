@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from analytics.step_records.reduction import MOST_RAW
+from analytics.step_records.evaluated_signal import MOST_RAW
 from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
 from storage.lake.builder import builder_lock
