@@ -1,5 +1,6 @@
 """The interval at which a unit really samples, from its counter and the arrivals of its frames."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,8 @@ APART_NS = 200_000_000
 _FEWEST, _MOST = 8, 512  # points of arrival; looked at when there are 8, 16, 32 and so on
 _LINE = 8.0  # a slope is certain if it moves the arrivals by so many times their distance from a line
 _SILENT_NS, _SILENT = 1_000_000_000, 4.0  # longer, and so many times longer than the pause before: whole turns may lack
-_LEAST_STEP = 1e-3  # of an interval
+_RECENT = 64  # points that are looked at by themselves, for a unit that changes its rate
+_LEAST_STEP = 0.1  # of an interval: more than times on a grid may be off by where they are stored as even
 FOLLOWED, WRONG = 1e-3, 5e-3
 """Relative differences: beyond the first a grid of the stated interval cannot follow; beyond the second it is wrong."""
 
@@ -21,7 +23,7 @@ def after(times_ns: IntArray, steps: IntArray, last_ns: int, interval_ns: float)
     `steps` are their intervals from that one.
 
     >>> after(np.array([95_000_000, 105_000_000]), np.array([1, 2]), 100_000_000, 1e7).tolist()
-    [100010000, 105000000]
+    [101000000, 105000000]
     """
     least_ns = last_ns + np.ceil(steps * (_LEAST_STEP * interval_ns)).astype(np.int64)
     return np.asarray(np.maximum(times_ns, least_ns))
@@ -76,7 +78,7 @@ class IntervalWatch:
 
     Frames arrive late by any delay, so that one pause shows nothing, nor do frames that are lost at once. It is certain
     where the distances of the arrivals from the stated grid lie on a line over time that rises or falls by eight times
-    their distance from it.
+    their distance from it: of all arrivals, or of the last 13 s.
 
     >>> watch = IntervalWatch(0.02e9)
     >>> [watch.see(25 * k, 250_000_000 * k) for k in range(8)][-1]
@@ -109,10 +111,13 @@ class IntervalWatch:
             return None
         self.points.append((number, t_ns))
         n = len(self.points)
-        return self._certain() if n >= _FEWEST and n & (n - 1) == 0 else None
+        found = self._certain(self.points) if n >= _FEWEST and n & (n - 1) == 0 else None
+        if found is None and n > _RECENT and n % (_RECENT // 2) == 0:
+            found = self._certain(self.points[-_RECENT:])
+        return found
 
-    def _certain(self) -> SeenInterval | None:
-        numbers, t_ns = (np.array(each, np.float64) - each[0] for each in zip(*self.points, strict=True))
+    def _certain(self, points: Sequence[tuple[int, int]]) -> SeenInterval | None:
+        numbers, t_ns = (np.array(each, np.float64) - each[0] for each in zip(*points, strict=True))
         x, y = t_ns - t_ns.mean(), t_ns - self._stated_ns * numbers
         y -= y.mean()
         slope = float((x * y).sum() / (x * x).sum())

@@ -24,4 +24,4 @@ def as_judged(limit: SpecificationLimit) -> SpecificationLimit:
     """
     if limit.upper is None or limit.lower is not None or not is_nearer_zero(limit.metric):
         return limit
-    return msgspec.structs.replace(limit, lower=-abs(limit.upper))
+    return msgspec.structs.replace(limit, lower=0.0 - abs(limit.upper))

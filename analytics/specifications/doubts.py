@@ -29,7 +29,8 @@ def _open_side(limit: SpecificationLimit) -> Iterator[str]:
         side, beyond, other, bound = ("upper", "below", "lower", limit.upper)
         if bound is None:
             side, beyond, other, bound = ("lower", "above", "upper", limit.lower)
-        assert bound is not None  # a limit has one side or both
+        if bound is None or (bound > 0) != (side == "upper"):
+            return  # no magnitude has such a bound
         yield (
             f"warning: {limit.subject}: by {side} = {bound:g} alone every value {beyond} it passes, however far: where "
             f"its magnitude is meant, write {other} = {-bound:g} too"

@@ -23,7 +23,7 @@ class GridTimes:
     >>> grid.place(np.array([83_000_000, 83_000_001, 83_000_002]), np.array([0, 1, 2]), np.array([0, 1, 2])).tolist()
     [63000002, 73000002, 83000002]
     >>> grid.place(np.array([86_500_000, 90_000_000]), np.array([3, 4]), np.array([3, 4])).tolist()
-    [83010002, 90000000]
+    [84000002, 90000000]
     """
 
     interval_ns: int

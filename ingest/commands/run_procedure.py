@@ -172,7 +172,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         for line in log.savings():
             operator.report(line)
         has_limits = bool(limits.units)
-        report("ended", _done(log, decisions.verdicts, path.folder, has_limits=has_limits))
+        report("ended", "; ".join([*why_left, _done(log, decisions.verdicts, path.folder, has_limits=has_limits)]))
         return code
 
 

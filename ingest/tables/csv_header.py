@@ -12,6 +12,7 @@ from stream.errors import BadInput
 
 DELIMITERS = "\t;,"
 _MOST_BEFORE_ROWS = 100  # lines that may stand before the first row of numbers
+_UNIT = re.compile(r"[^\s(\[（][ \t]*[(\[（][^()\[\]（）]+[)\]）]")  # of a title
 _ALIKE = 4  # lines with numbers and words in the same columns are rows
 
 
@@ -25,7 +26,7 @@ def header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tu
     (2, 3)
     """
     texts = [lines[i][0] for i in written]
-    first = next((at for at, text in enumerate(texts[:_MOST_BEFORE_ROWS]) if is_row(text)), _first_with_words(texts))
+    first = _first_row(texts)
     if first < 2:
         return written[0], None
     row = lines[written[first]][0]
@@ -43,28 +44,46 @@ def header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tu
     titles = cells_of(lines[written[header]][0], delimiter)
     if header and ("[" in lines[written[0]][0] or any(is_row(cell) or not cell for cell in titles)):
         return written[0], None  # the first line has titles, and rows below it are not right
-    if alike[0] < header:
+    if alike[0] < header or _has_rows(texts[:header]):
         return written[0], None
     return written[header], written[first - 1] if has_units else None
 
 
-def _first_with_words(texts: Sequence[str]) -> int:
-    """Place of the first of four lines whose columns have numbers, and words in others; 0 if there are none.
+def _first_row(texts: Sequence[str]) -> int:
+    """Place of the first line of numbers; without one, of the first of four with numbers, and words in other columns.
 
-    >>> _first_with_words(["Logger;7", "t;step", "0,0;rest", "0,1;rest", "0,2;rest", "0,3;turn"])
+    0 if there is no row.
+
+    >>> _first_row(["Logger;7", "t;step", "0,0;rest", ";rest", "0,2;rest", "0,3;turn"])
     2
     """
-    kinds = [_kinds(text) for text in texts[: _MOST_BEFORE_ROWS + _ALIKE]]
-    for at, kind in enumerate(kinds[: 1 - _ALIKE]):
-        if any(kind) and not all(kind) and all(each == kind for each in kinds[at : at + _ALIKE]):
-            return at
+    texts = texts[: _MOST_BEFORE_ROWS + _ALIKE]
+    if (first := next((at for at, text in enumerate(texts[:_MOST_BEFORE_ROWS]) if is_row(text)), None)) is not None:
+        return first
+    kinds = [_kinds(text) for text in texts]
+    for at in range(len(texts) - _ALIKE + 1):
+        together = kinds[at : at + _ALIKE]
+        if len({len(each) for each in together}) == 1:
+            columns = [{kind for kind in column if kind is not None} for column in zip(*together, strict=True)]
+            if all(len(each) <= 1 for each in columns) and {True} in columns and {False} in columns:
+                return at
     return 0
 
 
-def _kinds(text: str) -> tuple[bool, ...]:
-    """Which cells of a line are numbers or time stamps."""
+def _kinds(text: str) -> tuple[bool | None, ...]:
+    """Which cells of a line are numbers or time stamps; None for empty ones."""
     delimiter = next((mark for mark in DELIMITERS if mark in text), "")
-    return tuple(is_row(cell) for cell in cells_of(text, delimiter)) if delimiter else ()
+    return tuple(is_row(cell) if cell else None for cell in cells_of(text, delimiter)) if delimiter else ()
+
+
+def _has_rows(texts: Sequence[str]) -> bool:
+    """Whether some lines are a table: titles with a unit, and below them two lines with numbers in the same columns."""
+    kinds = [_kinds(text) for text in texts]
+    return any(
+        _UNIT.search(texts[at]) is not None and len(kinds[at]) == len(kinds[at + 1]) == len(kinds[at + 2])
+        and any(a is b is True for a, b in zip(kinds[at + 1], kinds[at + 2], strict=True))
+        for at in range(len(texts) - 2)
+    )  # fmt: skip
 
 
 def _is_unit_cell(cell: str) -> bool:

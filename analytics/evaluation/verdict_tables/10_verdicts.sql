@@ -323,7 +323,8 @@ with candidate as materialized (
     case when a.lack is not null then a.lack
       when n.metric is null then 'this gyrofleet has no metric ' || a.metric
         || ': it is of a later version, or an own file that this installation lacks (GYROFLEET_OWN)'
-      when h.unit is null and o.unit is not null and not starts_with(n.needs, 'entered')
+      when h.unit is null and o.unit is not null and not regexp_matches(n.needs, '^(entered|an entered)')
+          and not regexp_matches(a.metric, '^(power|accelerometer_|attitude_unit_|system_level_accelerometer_)')  -- of no gyro
         then 'its steps (' || o.procedures || ') are there, but without the output of a gyro (of ' || o.signals
           || ' alone): import a column of its rate, or name its output rate'
       when h.unit is null then 'not measured: it needs ' || n.needs

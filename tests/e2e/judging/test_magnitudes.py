@@ -126,3 +126,7 @@ def test_a_limit_with_one_side_on_a_bias_is_named(enter: Callable[..., Any]) -> 
         "warning: bias: by upper = 5 alone every value below it passes, however far: where its magnitude is meant, "
         "write lower = -5 too"
     )
+
+
+def test_a_limit_that_no_magnitude_has_is_as_it_is_meant(enter: Callable[..., Any]) -> None:
+    assert enter('revision = "A"\n[[limit]]\nmetric = "bias"\nlower = 5.0\nunit_of_measure = "deg/h"\n')["doubts"] == []

@@ -92,6 +92,32 @@ def test_lines_before_the_header_are_left_out_of_rows_with_words(tmp_path: Path,
     assert [(each.signal.lower(), each.sampling.samples) for each in summary.signals] == [("rate", 20)]
 
 
+@pytest.mark.parametrize("rows", [3, 40])
+@pytest.mark.parametrize("words", ["", ";rest"])
+def test_a_table_before_another_one_is_no_preamble(tmp_path: Path, rows: int, words: str) -> None:
+    """Of a file with two tables the first was left out as "lines before the header"."""
+    first = [f"{i / 10:.1f};{i % 7}.5{words or ';x;y'}" for i in range(rows)]
+    second = [f"{i / 10:.1f};{i % 5}.5;9{words}" for i in range(40)]
+    titles = (
+        f"Time (s);Gyro Y (deg/s){';step' if words else ';a;b'}",
+        f"Time (s);Gyro X (deg/s);T (degC){words and ';step'}",
+    )
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([titles[0], *first, titles[1], *second]))
+    with pytest.raises(BadInput):
+        TableFile(path, TableOptions(unit="U")).check()
+
+
+def test_a_list_of_channels_before_the_header_is_left_out(tmp_path: Path) -> None:
+    channels = [f"{at};{name};16;{unit}" for at, (name, unit) in enumerate([("Gyro", "deg/s"), ("T", "degC")] * 2)]
+    rows = [f"{i / 10:.1f};{i % 7}.5" for i in range(20)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Logger 7", "Channels", *channels, "time[s];rate[deg/h]", *rows]))
+    summary = TableFile(path, TableOptions(unit="U")).check()
+    assert [each.sampling.samples for each in summary.signals] == [20]
+    assert any("6 lines before the header left out" in each for each in summary.remarks)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

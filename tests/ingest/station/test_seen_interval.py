@@ -168,3 +168,28 @@ def test_what_is_near_is_not_wrong() -> None:
     assert not SeenInterval(1e7, 1.004e7, 1e3).is_wrong
     assert not SeenInterval(1e7, 1.006e7, 2e4).is_wrong
     assert SeenInterval(1e7, 0.994e7, 1e3).is_wrong
+
+
+@pytest.mark.parametrize("nearer_ns", [5_100_000, 5_200_000, 7 * MS])
+def test_stored_times_increase_however_the_grid_is_moved(nearer_ns: int) -> None:
+    """Of reads that each come less late than the one before: stored as even, one ended behind the next one's begin."""
+    ends = [(k + 1) * READ - 1 for k in range(12)]
+    late_ns = [max(0, 60 * MS - k * nearer_ns) for k in range(12)]
+    arrivals = [(last, SECOND + last * 5 * MS + more) for last, more in zip(ends, late_ns, strict=True)]
+    _, found = serial(0.005, iter(arrivals))
+    times_ns = np.concatenate([batch.time_array for batch, _, _ in found])
+    assert (np.diff(times_ns) > 0).all()
+
+
+def test_a_unit_that_changes_its_rate_is_seen_within_20_s() -> None:
+    """100 to 98 Hz after 30 s of the right interval: all arrivals together lie on no line."""
+    watch, rng = IntervalWatch(10.0 * MS), np.random.default_rng(1)
+    sampled_ns = np.cumsum(np.where(np.arange(6000) < 3000, 10.0, 10.2041)) * MS
+    seen = {}
+    for number in range(0, 6000, 25):
+        found = watch.see(number, int(sampled_ns[number] + rng.exponential(2 * MS)))
+        if found is not None and found.is_wrong:
+            seen.setdefault(sampled_ns[number] / 1e9, found)
+    first_s = min(seen)
+    assert 30.0 < first_s < 50.0
+    assert abs(seen[first_s].interval_ns - 10.2041 * MS) <= 2 * seen[first_s].uncertainty_ns
