@@ -185,7 +185,7 @@ def test_a_unit_that_changes_its_rate_is_seen_within_20_s() -> None:
     """100 to 98 Hz after 30 s of the right interval: all arrivals together lie on no line."""
     watch, rng = IntervalWatch(10.0 * MS), np.random.default_rng(1)
     sampled_ns = np.cumsum(np.where(np.arange(6000) < 3000, 10.0, 10.2041)) * MS
-    seen = {}
+    seen: dict[float, SeenInterval] = {}
     for number in range(0, 6000, 25):
         found = watch.see(number, int(sampled_ns[number] + rng.exponential(2 * MS)))
         if found is not None and found.is_wrong:
