@@ -20,10 +20,10 @@ from ingest.run import run_path
 from ingest.run.command_boxes import command_box
 from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch
 from ingest.station.bench import StationBench, check_limits, check_station
+from ingest.station.checks.preflight import Preflight, preflight
+from ingest.station.checks.rest import by_hand
 from ingest.station.operator_console import ConsoleOperator
-from ingest.station.preflight import Preflight, preflight
 from ingest.station.releases import Release, Releases
-from ingest.station.rest import by_hand
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_commands import RunCommands
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, listed, run_limits

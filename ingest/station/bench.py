@@ -6,7 +6,7 @@ from ingest.instruments.base import Instrument
 from ingest.instruments.power_supply import UNPOWERED_V
 from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from ingest.procedures.procedure import Procedure
-from ingest.station.rest import has_safe_state, still_moving
+from ingest.station.checks.rest import has_safe_state, still_moving
 from ingest.station.station import Station
 from stream.errors import BadInput, InstrumentError
 

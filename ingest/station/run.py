@@ -9,8 +9,8 @@ from ingest.instruments.base import Instrument
 from ingest.procedures.plan import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
+from ingest.station.checks.rest import by_hand
 from ingest.station.releases import Releases
-from ingest.station.rest import by_hand
 from ingest.station.run_log import RunLog
 from ingest.station.source_watch import RunSource, SourceWatch
 from ingest.station.station import Station

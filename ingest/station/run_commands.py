@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Protocol
 
-from ingest.station.rest import by_hand
+from ingest.station.checks.rest import by_hand
 from ingest.station.run_log import RunLog
 from storage.recording.command_box import BadCommand, CommandAnswer, RunCommand
 from storage.recording.run_command import withdrawal

@@ -13,11 +13,11 @@ import msgspec
 
 from ingest.procedures.plan import PlannedStep
 from ingest.run_record import Outcome, Phase, RunRecord, document_uid, read_state
+from ingest.station.checks.step_coverage import StepCoverage
 from ingest.station.delivery_account import DeliveryAccount
 from ingest.station.releases import Release
 from ingest.station.run_limits import NO_LIMITS, RunLimits
 from ingest.station.station import Station
-from ingest.station.step_coverage import StepCoverage
 from ingest.station_clock import StationClock
 from storage.recording.command_box import CommandAnswer, RunCommand
 from storage.recording.run_command import answered_document, given_document

@@ -17,7 +17,7 @@ from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import serial_port
 from ingest.serial.frame_layout import FrameLayout, load_layout
 from ingest.serial.serial_line import BATCH_S, SerialLine, device_of, open_port
-from ingest.station.room import Flow
+from ingest.station.checks.room import Flow
 from ingest.station.run_log import RunLog
 from ingest.station.sampling import BATCH_S as INSTRUMENT_BATCH_S
 from ingest.station.sampling import Sampler

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.station import preflight as preflight_file
-from ingest.station.preflight import Preflight, preflight
+from ingest.station.checks import preflight as preflight_file
+from ingest.station.checks.preflight import Preflight, preflight
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from storage.segments.disk import Disk, Space

@@ -14,8 +14,8 @@ from ingest.simulator.scpi.device import DeviceFault, SimulatedDevice
 from ingest.simulator.scpi.electrical import SimulatedSupply
 from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
-from ingest.station import rest
-from ingest.station.rest import still_moving
+from ingest.station.checks import rest
+from ingest.station.checks.rest import still_moving
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
 

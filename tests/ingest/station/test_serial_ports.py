@@ -12,7 +12,7 @@ import pytest
 
 from ingest.instruments.temperature_chamber import TemperatureChamber, TemperatureChamberOptions
 from ingest.serial.serial_line import open_port
-from ingest.station.preflight import preflight
+from ingest.station.checks.preflight import preflight
 from ingest.station.sources import StationSources
 from ingest.station.station import load_station
 from ingest.station_clock import StationClock

@@ -6,7 +6,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest.station.step_coverage import StepCoverage
+from ingest.station.checks.step_coverage import StepCoverage
 from stream.batch import SampleBatch
 
 
@@ -16,7 +16,7 @@ def batch(unit: str, dt_ns: int = 10_000_000) -> SampleBatch:
 
 def test_silence_counts_while_a_step_records(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [1000.0]
-    monkeypatch.setattr("ingest.station.step_coverage.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("ingest.station.checks.step_coverage.time.monotonic", lambda: clock[0])
     coverage = StepCoverage(["A", "B", "SLOW"])
     for unit in ("A", "B"):
         coverage.see(batch(unit))

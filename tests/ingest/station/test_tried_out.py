@@ -11,7 +11,7 @@ from ingest.simulator.scpi.device import DeviceFault, SimulatedDevice
 from ingest.simulator.scpi.electrical import SimulatedVoltmeter
 from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.scpi.tables import SimulatedRateTable
-from ingest.station.preflight import Preflight, preflight
+from ingest.station.checks.preflight import Preflight, preflight
 from ingest.station.sources import StationSources
 from ingest.station.station import load_station
 from ingest.station_clock import StationClock

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ingest.instruments.base import Instrument
-from ingest.station.room import RunRoom, existing, run_room
+from ingest.station.checks.room import RunRoom, existing, run_room
 from ingest.station.sources import StationSources
 from ingest.station.station import Station
 from storage.recording.disk_watch import DiskWatch, format_bytes
