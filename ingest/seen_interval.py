@@ -13,8 +13,8 @@ _LINE = 8.0  # a slope is certain if it moves the arrivals by so many times thei
 _SILENT_NS, _SILENT = 1_000_000_000, 4.0  # longer, and so many times longer than the pause before: whole turns may lack
 _RECENT = 64  # points that are looked at by themselves, for a unit that changes its rate
 _LEAST_STEP = 0.1  # of an interval: more than times on a grid may be off by where they are stored as even
-FOLLOWED, WRONG = 1e-3, 5e-3
-"""Relative differences: beyond the first a grid of the stated interval cannot follow; beyond the second it is wrong."""
+FOLLOWED = 1e-3  # relative difference beyond which a grid of the stated interval cannot follow
+WRONG = 5e-3  # and beyond which the stated interval is wrong
 
 
 def after(times_ns: IntArray, steps: IntArray, last_ns: int, interval_ns: float) -> IntArray:
@@ -90,7 +90,7 @@ class IntervalWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the arrivals so far, as where the counter begins anew."""
+        """Forget the arrivals so far, as where the counter begins again."""
         self.points: list[tuple[int, int]] = []
         self._arrived_ns: int | None = None
         self._paused_ns = 0

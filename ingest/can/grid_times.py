@@ -55,7 +55,7 @@ class GridTimes:
         return self.seen is not None and self.seen.is_wrong
 
     def restart(self) -> None:
-        """The counter has begun anew."""
+        """The counter has begun again."""
         self._watch.restart()
 
     def place(self, received_ns: IntArray, numbers: IntArray, counters: IntArray) -> IntArray:

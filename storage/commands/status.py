@@ -105,7 +105,7 @@ def _show(found: "StoreStatus") -> None:
 
 
 def _since(role: "RoleReport") -> str:
-    """For how long a role has worked, or how long ago it ended or was heard last."""
+    """For how long a role has worked, or how long ago it ended or reported last."""
     return _duration(role.works_s) if role.condition in _AT_WORK else f"{_duration(role.age_s)} ago"
 
 

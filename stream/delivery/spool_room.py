@@ -51,7 +51,7 @@ class SpoolRoom:
         return is_room
 
     def acknowledged(self) -> None:
-        """A recorder takes what waits: the trend begins anew."""
+        """A recorder takes what waits: the trend begins again."""
         self._trend = None
 
     def grew(self, size: int, now_s: float | None = None) -> None:
