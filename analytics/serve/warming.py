@@ -19,7 +19,7 @@ from stream.batch import SampleBatch
 from stream.closing import Closing
 from stream.errors import GyrofleetError
 from stream.quantities import read_definitions
-from stream.scheduling import be_nicer
+from stream.transport.scheduling import be_nicer
 
 _LOOK_S = 0.1
 _METRICS_LOOK_S = 1.0

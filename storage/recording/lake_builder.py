@@ -7,7 +7,7 @@ from collections.abc import Callable
 from storage.lake.builder import LakeBusy, build_missing, builder_lock
 from storage.store import Store
 from stream.errors import StoreError
-from stream.scheduling import be_nicer
+from stream.transport.scheduling import be_nicer
 
 _RETRY_S = 10.0
 _NICER = 5

@@ -26,12 +26,12 @@ from storage.store import Store
 from stream.closing import Closing
 from stream.errors import GyrofleetError, StoreError
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING
-from stream.scheduling import wait_for_turn
 from stream.security.proof import SourceVerifier, credentials_of
 from stream.status.proven_status import received_status
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import SILENT_AFTER_S, STATUS_KEY, Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
+from stream.transport.scheduling import wait_for_turn
 from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ import zenoh
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.closing import Closing
 from stream.errors import BusError, GyrofleetError
-from stream.scheduling import threads_waiting_for_turn, wait_for_turn
 from stream.security.credentials import BusSecurity, Credentials, process_security
 from stream.security.endpoint import DEFAULT_ENDPOINT as DEFAULT_ENDPOINT
 from stream.security.endpoint import check_plain_endpoint, secured_endpoint
@@ -26,6 +25,7 @@ from stream.security.rights import ACCESS_KEY, check_right, principal_of
 from stream.security.zenoh_settings import access_control, tls_settings
 from stream.transport.bus import Handler, call_handlers
 from stream.transport.reach import why_unreachable
+from stream.transport.scheduling import threads_waiting_for_turn, wait_for_turn
 
 # Zenoh closes a transport that its other side has stalled for so long, and messages that wait there are lost without
 # an error; whoever needs them requests them again. A source waits about as long as the lease (10 s), after which the

@@ -13,12 +13,12 @@ from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
-from stream.scheduling import wait_for_turn
 from stream.security.proof import credentials_of
 from stream.status.proven_status import on_bus
 from stream.status.reporter import StatusReporter
 from stream.status.role_status import Role, RoleState, RoleStatus, new_status
 from stream.transport.bus import Bus, queued_bytes
+from stream.transport.scheduling import wait_for_turn
 from stream.wire.acknowledgement import StreamId
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.estimation import Estimation

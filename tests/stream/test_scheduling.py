@@ -13,7 +13,7 @@ import pytest
 
 from storage.recording.lake_builder import LakeBuilder
 from storage.store import Store
-from stream.scheduling import be_nicer
+from stream.transport.scheduling import be_nicer
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads have no priority of their own")
 

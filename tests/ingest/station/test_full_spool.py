@@ -1,4 +1,4 @@
-"""A spool that fills and is full: what is said before, meanwhile and afterwards, and how many samples are lost."""
+"""A spool that fills: the warnings before it is full and while it is, the note after it, the samples that are lost."""
 
 import threading
 import time
