@@ -97,6 +97,7 @@ _COMMANDS = {
         "simulate": "ingest.commands.simulate:simulate",
         "run-simulated": "ingest.commands.run:run_simulated",
         "check": "ingest.commands.check:check",
+        "runs": "storage.commands.runs:runs",
     },
     "Record and estimate": {
         "record": "storage.commands.record:record",

@@ -77,7 +77,7 @@ class ClusterComputation:
         """Step records of runs; a task has at most 100 units, and of the lake the parts that have these runs."""
         catalog.put("records_runs", pa.table({"run": pa.array(runs, pa.string())}))
         sql = (
-            "select distinct unit from steps where outcome = 'completed' "
+            "select distinct unit from steps where outcome = 'completed' and excluded is null "
             "and run in (select run from internal.records_runs)"
         )
         units = [unit for (unit,) in catalog.rows(sql)]

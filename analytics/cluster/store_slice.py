@@ -33,7 +33,8 @@ create or replace table internal.slice_seen as
 select task, unit from internal.sliced
 union
 select r.task, p.unit from internal.slice_runs r join internal.unit_places p using (run)
-where p.unit <> '' and (p.run, p.unit) not in (select (run, unit) from steps where outcome = 'completed');
+where p.unit <> ''
+  and (p.run, p.unit) not in (select (run, unit) from steps where outcome = 'completed' and excluded is null);
 """
 _PARTS_OF_RUNS = "select r.task, p.filename from internal.unit_places p join internal.slice_runs r using (run)"
 _PARTS = """

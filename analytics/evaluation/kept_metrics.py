@@ -32,8 +32,7 @@ select unit, string_agg(distinct fingerprint, '/' order by fingerprint) from int
 """
 # Hash of each unit's checks that were entered by hand, which may belong to no run; and of its products' numbers.
 _ENTERED = """
-select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents
-where kind = 'CheckEntered' group by unit
+select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.standing_checks group by unit
 """
 _PRODUCTS = """
 select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit

@@ -210,7 +210,7 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
         return
     known = {name for (name,) in catalog.rows(f"select distinct {kind} from unit_runs where {kind} is not null")}  # noqa: S608
     if kind == "unit":
-        checked = "select distinct unit from internal.lake_documents where kind = 'CheckEntered'"
+        checked = "select distinct unit from internal.standing_checks"
         known |= {name for (name,) in catalog.rows(checked)}
     for name in names:
         if name not in known:

@@ -20,6 +20,7 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.loop.model.error_model import ErrorModel, ModelNoise
 from storage.sql.catalog import Catalog
+from storage.sql.reading import excluded_runs, format_excluded
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
 
@@ -164,7 +165,7 @@ def read_units(
             if isinstance(found, GyrofleetError):
                 raise found
             runs, left_out = _with_channels_of(question, found.runs)
-            losses = (*_lost_runs(found.runs, runs), *found.left_out)
+            losses = (*_excluded(catalog, unit, question, runs), *_lost_runs(found.runs, runs), *found.left_out)
             models[unit] = model_on(question, runs)
             gone = {run for note in left_out for run in note.runs}
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
@@ -203,6 +204,17 @@ def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tu
         f"{where} {names} is missing, which the model needs: left out", f"{where.zh}缺少模型所需的{names}：已略去"
     )
     return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
+
+
+def _excluded(catalog: Catalog, unit: str, question: Question, kept: Sequence[RunBlocks]) -> tuple[LeftOut, ...]:
+    """Runs that people have excluded from evaluation, which are read where the question names them."""
+    excluded = {} if question.runs is not None else excluded_runs(catalog, unit)
+    if not excluded:
+        return ()
+    listed = format_excluded(excluded)
+    share = len(excluded) / (len(excluded) + len({run.run for run in kept}))
+    why = Bilingual(f"they are excluded from evaluation: {listed}", f"已排除，不参与评定：{listed}")
+    return (LeftOut(Bilingual("the runs", "试验"), share, why),)
 
 
 def _lost_runs(every: Sequence[RunBlocks], kept: Sequence[RunBlocks]) -> tuple[LeftOut, ...]:

@@ -70,7 +70,7 @@ def _signals(catalog: Catalog, runs: Sequence[str]) -> defaultdict[str, list[Eva
     windows: defaultdict[str, dict[str, dict[tuple[int, int], None]]] = defaultdict(dict)
     for run, unit, start, end in catalog.rows(
         "select run, unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
-        "where run in $runs and outcome = 'completed' order by run, unit, t_start_ns",
+        "where run in $runs and outcome = 'completed' and excluded is null order by run, unit, t_start_ns",
         {"runs": runs},
     ):
         windows[run].setdefault(unit, {})[start, end] = None

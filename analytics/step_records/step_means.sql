@@ -5,7 +5,7 @@ with step as (
     s.t_start_ns + round(coalesce(s.settle, 0) * 1e9)::bigint as t_from_ns,
     s.t_end_ns as t_to_ns
   from steps s
-  where s.outcome = 'completed' and s.run in (select run from internal.reduced_runs)
+  where s.outcome = 'completed' and s.excluded is null and s.run in (select run from internal.reduced_runs)
 ), stepped as (
   select distinct run, unit from step
 ), power as (                           -- the power-on in force, and when it was

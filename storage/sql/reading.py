@@ -1,7 +1,7 @@
 """Samples of one signal from the lake in the order of time: all of them, or an error."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -27,7 +27,8 @@ _ROWS = 122_880  # DuckDB's row group
 MOST_GROUPS = 5  # of which a look at a record reads some rows
 _RECORDS = "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () from signals s"
 _LONGEST = f"""
-{_RECORDS} left join runs r on r.run = s.run where s.unit = $unit and s.signal = $signal
+{_RECORDS} left join runs r on r.run = s.run anti join exclusions x on x.run = s.run and x.unit = s.unit
+where s.unit = $unit and s.signal = $signal
 order by s.t_last_ns - s.t_first_ns desc,
   case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc,
   s.arrival_first_ns desc, s.t_first_ns desc limit 1
@@ -62,7 +63,7 @@ class Asked(Protocol):
 
 
 def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) -> SignalRecord:
-    """The record of a signal; without `run` the longest one, of equally long ones that measured last.
+    """The record of a signal; without `run` the longest one that is not excluded, of equally long ones the last.
 
     A run of unknown date counts as measured when it was recorded. NotFound lists what the store holds.
     """
@@ -74,9 +75,29 @@ def find_signal(catalog: Asked, unit: str, signal: str, run: str | None = None) 
         of = f" of unit {unit}, signal {signal}"
         if run is not None:
             _check_held(catalog, "run", run, of, {"unit": unit, "signal": signal})
+        elif excluded := excluded_runs(catalog, unit):
+            raise NotFound(
+                f"every run{of} is excluded from evaluation: {format_excluded(excluded)}; name one with --run, or "
+                "include one again with `gyrofleet runs include`"
+            )
         raise NotFound(f"a record{of} came to {catalog.store.label} at this moment; ask again")
     row = rows[0]
     return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]), int(row[5]))
+
+
+def excluded_runs(catalog: Asked, unit: str) -> dict[str, str]:
+    """Why runs of a unit are excluded from evaluation, by run."""
+    return dict(catalog.rows("select run, reason from exclusions where unit = $unit order by run", {"unit": unit}))
+
+
+def format_excluded(reasons: Mapping[str, str]) -> str:
+    """Excluded runs and why, for people.
+
+    >>> format_excluded({"r1": "table kicked", "r2": "wrong axis"})
+    'r1 (table kicked), r2 (wrong axis)'
+    """
+    listed = [f"{run} ({reason})" for run, reason in reasons.items()]
+    return ", ".join(listed[:4]) + (f" and {len(listed) - 4} more" if len(listed) > 4 else "")
 
 
 def _check_held(catalog: Asked, column: str, wanted: str, of: str, given: dict[str, str]) -> None:

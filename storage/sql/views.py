@@ -14,7 +14,10 @@ from storage.store import Store
 from stream.errors import QueryError, StoreError, UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
-VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
+VIEWS = (
+    "samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks",
+    "exclusions",
+)  # fmt: skip
 
 _LISTING = re.compile(r"show|describe|information_schema|(duckdb|pragma|sqlite)_\w+|pg_(?!timezone_names)\w+")
 _CONVERSIONS = ("deg_per_h", "deg_c")

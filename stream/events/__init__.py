@@ -163,6 +163,26 @@ class CheckEntered(Act, frozen=True, kw_only=True, tag=True):
     note: str = ""
 
 
+class ExclusionAction(StrEnum):
+    """Change that a document makes to what is evaluated."""
+
+    EXCLUDED = "excluded"
+    INCLUDED = "included"
+
+
+class ExclusionEntered(Act, frozen=True, kw_only=True, tag=True):
+    """A run, or one `unit` of it, is excluded from every evaluation, or included again; the last one of a unit counts.
+
+    With a `check` it is only the `CheckEntered` of that uid. Samples and documents stay in the log.
+    """
+
+    action: ExclusionAction
+    by: str
+    reason: str
+    unit: str | None = None
+    check: str = ""
+
+
 class Limit(msgspec.Struct, frozen=True, kw_only=True):
     """An upper limit on a characteristic, in `unit_of_measure`."""
 
@@ -410,10 +430,10 @@ class RunEnded(Document, frozen=True, kw_only=True, tag=True):
 
 AnyDocument = (
     RunStarted | StepStarted | StepEnded | PowerOn | PowerOff | UnitReleased | UnitMounted | NoteAdded | StationStated
-    | CheckEntered | SpecificationEntered | CertificateIssued | LimitsApplied | EstimatePublished | NoiseFitted
-    | SpectralLinesFound | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted | ResidualWatched
-    | RunResumed | StoreNoted | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged | RunCommandGiven
-    | RunCommandAnswered | ActProposed | ProposalRejected
+    | CheckEntered | ExclusionEntered | SpecificationEntered | CertificateIssued | LimitsApplied | EstimatePublished
+    | NoiseFitted | SpectralLinesFound | EarlyDecision | VerdictGiven | ModelActivated | CompensationStarted
+    | ResidualWatched | RunResumed | StoreNoted | RunEnded | AlertRaised | AlertCleared | AlertSent | AlertAcknowledged
+    | RunCommandGiven | RunCommandAnswered | ActProposed | ProposalRejected
 )  # fmt: skip
 
 

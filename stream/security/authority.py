@@ -19,13 +19,13 @@ _OF_STATIONS = (
 )  # fmt: skip
 _OF_APPROVERS = (
     events.ModelActivated, events.SpecificationEntered, events.CertificateIssued, events.NoteAdded, events.CheckEntered,
-    events.ActProposed, events.ProposalRejected, events.AlertAcknowledged, events.RunCommandGiven,
-    events.RunCommandAnswered,
+    events.ExclusionEntered, events.ActProposed, events.ProposalRejected, events.AlertAcknowledged,
+    events.RunCommandGiven, events.RunCommandAnswered,
 )  # fmt: skip
 _OF_ESTIMATORS = (events.CompensationStarted, events.NoteAdded)
 _NAMED_BY = (
-    events.ModelActivated, events.SpecificationEntered, events.CheckEntered, events.AlertAcknowledged,
-    events.ActProposed, events.ProposalRejected,
+    events.ModelActivated, events.SpecificationEntered, events.CheckEntered, events.ExclusionEntered,
+    events.AlertAcknowledged, events.ActProposed, events.ProposalRejected,
 )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
 -- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
 -- under another name as well: as many samples of one output with the same mean and standard deviation to nine digits.
--- And units of which runs are of another product than the last one, for which there are no limits. And units whose
+-- And units of which people have excluded runs. And units of which runs are of another product than the last one, for which there are no limits. And units whose
 -- sensitivity to temperature was measured over a narrower range, by 5 degC or more, than that of half of the units of
 -- their product.
 
@@ -53,6 +53,20 @@ select n.unit, list_filter(a.names, lambda name: name <> n.unit) as others,
   '可能是同一产品的 ' || len(a.names) || ' 个编号（' || array_to_string(a.names, '、') || '）：指标与判定按不同产品分别计算，请统一编号' as reason_zh
 from named n join alike a using (serial)
 union all
+select x.unit, [],
+  count(*) || ' of its ' || any_value(r.runs) || if(any_value(r.runs) = 1, ' run', ' runs') || ' excluded from evaluation: '
+    || array_to_string(list(x.run || ' (' || x.reason || '; ' || x.by_whom || ')' order by x.run)[:4], ', ')
+    || if(count(*) > 4, ', ...', '') || ': nothing above is of ' || if(count(*) = 1, 'it', 'them'),
+  any_value(r.runs) || ' 次试验中有 ' || count(*) || ' 次已排除，不参与评定：'
+    || array_to_string(list(x.run || '（' || x.reason || '；' || x.by_whom || '）' order by x.run)[:4], '、')
+    || if(count(*) > 4, '等', '') || '；以上结果均不含这些试验'
+from exclusions x
+join (
+  select unit, count(distinct run) as runs from internal.lake_documents
+  where kind in ('StepStarted', 'UnitMounted') group by unit
+) r using (unit)
+group by x.unit
+union all
 select unit, list_filter(others, lambda name: name <> unit),
   'has ' || runs || if(runs = 1, ' run', ' runs') || ' with the samples of another one (run ' || first.own || ' is run '
     || first.run || ' of ' || first.unit || '): one measurement under several names counts several times in verdicts and '
@@ -71,6 +85,7 @@ from (
   group by c.unit
 ) l join runs on runs.run = l.run and runs.outcome <> 'open'
 semi join each_run judged on judged.unit = l.unit
+anti join exclusions x on x.unit = l.unit and x.run = l.run
 anti join each_run of_run on of_run.unit = l.unit and of_run.run = l.run
 union all
 select unit, [],
@@ -101,4 +116,4 @@ join (
 join metric_names n using (metric)
 where r.highest <= u.highest - 5 or r.lowest >= u.lowest + 5
 order by 1;
-comment on table unit_warnings is 'units that probably go by two names, units with copied records, units whose last run nothing judges, and units measured over fewer temperatures than others of their product';
+comment on table unit_warnings is 'units that probably go by two names, units with copied records, with excluded runs, units whose last run nothing judges, and units measured over fewer temperatures than others of their product';

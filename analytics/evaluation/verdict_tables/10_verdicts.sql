@@ -19,13 +19,14 @@ qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_s
 create or replace table internal.judged_units as
 with entered as (
   select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
-  from internal.lake_documents where kind = 'CheckEntered' group by unit
-), idle as (                            -- runs without a completed record of a unit that they name
+  from internal.standing_checks group by unit
+), idle as (                            -- runs without a completed record of a unit that they name, not excluded
   select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.mounted is not null as date_known, u.t_ns,
     cast(make_timestamp_ns(u.t_ns) as date) as day,
     if(c.unit is null, 'no sample of it came', 'no step of its runs was completed') as lack
   from units u
   left join (select distinct unit, run from internal.lake_channels) c using (unit, run)
+  anti join exclusions x on x.unit = u.unit and x.run = u.run
   anti join internal.unit_last_run l on l.unit = u.unit
   where u.mountings > 0
   qualify row_number() over (partition by u.unit order by date_known desc, u.t_ns desc, u.run) = 1
@@ -355,9 +356,8 @@ with candidate as materialized (
     case when e.run = '' then [] else [e.run] end as runs, 'GJB2426A' as standard,
     case e.document->>'$.item' when 'visual' then '5.2' when 'electrical' then '5.3' end as clause,
     null::varchar as specification, null::varchar as revision, e.document->>'$.note' as reason,
-    u.product, u.lot, u.station, u.fixture, e."time"::date as day, e.t_ns
-  from events e left join internal.judged_units u on u.unit = e.unit
-  where e.kind = 'CheckEntered'
+    u.product, u.lot, u.station, u.fixture, make_timestamp_ns(e.t_ns)::date as day, e.t_ns
+  from internal.standing_checks e left join internal.judged_units u on u.unit = e.unit
 )
 select * from of_values
 union all by name select * from outside

@@ -2,7 +2,7 @@
 create or replace table internal.entered_checks as
 with entered as (
   select *, document->>'$.item' as item, document->>'$.verdict' as verdict, nullif(run, '') as in_run
-  from events where kind = 'CheckEntered'
+  from internal.standing_checks
 )
 select unit, null as signal, in_run as run, item, verdict,
   document->>'$.value' as entered, try_cast(document->>'$.value' as double) as number,

@@ -29,7 +29,7 @@ _RUNS_S = 1.0  # between two rows of the same run
 _ROWS_S = 0.5  # between two versions of the rows that only the log has
 _TRY_AGAIN_S = 5.0
 _FILLED_WITHIN_S = 10.0
-_ENTERED = ("SpecificationEntered", "CheckEntered", "ModelActivated")
+_ENTERED = ("SpecificationEntered", "CheckEntered", "ExclusionEntered", "ModelActivated")
 Tell = Callable[[int, str, bytes], None]
 """Takes a version of the floor, whether it is the whole ``floor`` or a ``change``, and its JSON."""
 

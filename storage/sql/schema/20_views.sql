@@ -108,6 +108,30 @@ left join released u using (run)
 left join stated z using (run)
 left join files f using (run);
 
+-- What people have excluded from every evaluation, and not included again: for each unit of a run the last word counts.
+create or replace view exclusions as
+with entered as (
+  select run, nullif(document->>'$.unit', '') as unit, document->>'$.action' as action, document->>'$.reason' as reason,
+    document->>'$.by' as by_whom, t_ns, arrival_ns, uid
+  from internal.lake_documents where kind = 'ExclusionEntered' and coalesce(document->>'$.check', '') = ''
+), tested as (
+  select distinct run, unit from internal.lake_documents
+  where kind in ('StepStarted', 'UnitMounted') and run in (select run from entered)
+)
+select t.run, t.unit, e.reason, e.by_whom, make_timestamp_ns(e.t_ns) as excluded, e.uid
+from entered e join tested t on t.run = e.run and (e.unit is null or e.unit = t.unit)
+qualify row_number() over (partition by t.run, t.unit order by e.arrival_ns desc, e.t_ns desc, e.uid) = 1
+  and e.action = 'excluded';
+
+-- Checks that were entered by hand and are not excluded.
+create or replace view internal.standing_checks as
+select * from internal.lake_documents
+where kind = 'CheckEntered' and uid not in (
+  select document->>'$.check' from internal.lake_documents
+  where kind = 'ExclusionEntered' and document->>'$.check' <> ''
+  group by all having arg_max(document->>'$.action', (arrival_ns, t_ns, uid)) = 'excluded'
+);
+
 create or replace view steps as
 select
   b.run, b.unit,
@@ -127,6 +151,7 @@ select
   make_timestamp_ns(b.t_ns) as started,
   make_timestamp_ns(e.t_ns) as ended,
   case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome,
+  x.reason as excluded,
   b.t_ns as t_start_ns,
   e.t_ns as t_end_ns
 from (select * from internal.lake_documents where kind = 'StepStarted') b
@@ -134,7 +159,8 @@ left join (                             -- a file that has grown ends its last s
   select * from internal.lake_documents where kind = 'StepEnded'
   qualify row_number() over (partition by run, unit, document->>'$.step_uid' order by t_ns desc, uid) = 1
 ) e
-  on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid;
+  on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid
+left join exclusions x on x.run = b.run and x.unit = b.unit;
 
 create or replace view estimates as
 select

@@ -8,4 +8,5 @@ comment on view estimates is 'estimates published during the run, with confidenc
 comment on view events is 'every document: power-ons, notes, limits, verdicts, fits; its content as JSON';
 comment on view rollup_1s is 'count, mean, standard deviation, minimum and maximum of each second';
 comment on view rollup_10s is 'count, mean, standard deviation, minimum and maximum of each ten seconds';
+comment on view exclusions is 'units of runs that people have excluded from every evaluation, and why';
 comment on view clocks is 'clock of each source relative to the recorder: drift, jumps';

@@ -12,7 +12,7 @@ from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.reading.channels import standard_unit
 from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
-from storage.sql.reading import find_signal
+from storage.sql.reading import excluded_runs, find_signal, format_excluded
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput, NotFound, UnknownUnit
 from stream.quantities import conversion, is_angular_rate, report_unit
@@ -120,7 +120,13 @@ def records_of(catalog: Catalog, unit: str, signal: str, runs: Iterable[str] | N
     if not rows:
         find_signal(catalog, unit, signal)  # raises with what there is
     records = {str(run): RecordedSignal(*each) for run, *each in rows}
-    wanted = set(records) if runs is None else set(runs)
+    excluded = excluded_runs(catalog, unit) if runs is None else {}
+    wanted = records.keys() - excluded.keys() if runs is None else set(runs)
+    if not wanted:
+        raise NotFound(
+            f"unit {unit}, signal {signal}: every run is excluded from evaluation: {format_excluded(excluded)}; name "
+            "runs, or include one again with `gyrofleet runs include`"
+        )
     if strangers := sorted(wanted - set(records)):
         raise NotFound(
             f"unit {unit}, signal {signal}: no run {', '.join(strangers)}; it has {', '.join(sorted(records))}"

@@ -69,7 +69,7 @@ select coalesce(verdict, released, 'OPEN'), count(*) from ({_UNITS}) where not i
 _DOCUMENTS = """
 select t_ns, kind, unit, document from internal.lake_documents
 where run = $run and kind in ('RunStarted', 'RunResumed', 'RunEnded', 'NoteAdded',
-  'LimitsApplied', 'StationStated', 'CheckEntered')
+  'LimitsApplied', 'StationStated', 'CheckEntered', 'ExclusionEntered')
 order by arrival_ns, t_ns limit 500
 """
 

@@ -1,0 +1,115 @@
+"""A run, one unit of it, or a check by hand is excluded from evaluation with a reason, and included again."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+LIMITS = """
+name = "S"
+revision = "A"
+valid_from = 2026-01-01
+[[limit]]
+metric = "bias"
+parameters = { earth_rate = "none" }
+lower = -10.0
+upper = 10.0
+unit_of_measure = "deg/h"
+"""
+STEP = ("--procedure", "static_bias", "--position", "IRA_up", "--store", "s")
+Run = Callable[..., Any]
+
+
+def _store(run_command: Run, folder: Path, biases: dict[tuple[str, str], float]) -> None:
+    """A run of a day for each bias, of the unit and run that are its key."""
+    rng = np.random.default_rng(5)
+    (folder / "limits.toml").write_text(LIMITS)
+    assert run_command("limits", "add", "limits.toml", "--store", "s", cwd=folder).code == 0
+    for day, ((unit, run), bias) in enumerate(biases.items(), start=1):
+        rows = "\n".join(f"{at},{bias + 0.5 * rng.standard_normal():.5f}" for at in range(3700))
+        (folder / f"{day}.csv").write_text(f"time[s],rate[deg/h]\n{rows}\n")
+        given = ("--unit", unit, "--run", run, "--start", f"2026-03-{day:02d}T12:00:00Z")
+        assert run_command("import", f"{day}.csv", *given, *STEP, cwd=folder).code == 0
+
+
+def _verdicts(run_command: Run, folder: Path) -> dict[str, tuple[str, str]]:
+    found = run_command("verdicts", "--store", "s", "--json", cwd=folder).json
+    return {row["unit"]: (row["verdict"], row["latest_verdict"]) for row in found["units"]}
+
+
+def test_an_excluded_run_is_out_of_every_evaluation_until_it_is_included(run_command: Run, tmp_path: Path) -> None:
+    _store(run_command, tmp_path, {("U", "good"): 5.0, ("U", "kicked"): 40.0})
+    assert _verdicts(run_command, tmp_path) == {"U": ("FAIL", "FAIL")}
+
+    why = ("--reason", "the table was kicked", "--by", "Li Wei", "--store", "s")
+    done = run_command("runs", "exclude", "kicked", *why, "--json", cwd=tmp_path).json
+    assert (done["units"], done["by"], done["in_lake"]) == (["U"], "Li Wei", True)
+    assert _verdicts(run_command, tmp_path) == {"U": ("PASS", "PASS")}
+    text = run_command("verdicts", "--store", "s", cwd=tmp_path)
+    assert "1 of its 2 runs excluded from evaluation: kicked (the table was kicked; Li Wei)" in text.err + text.out
+    chinese = run_command("verdicts", "--store", "s", "--lang", "zh", cwd=tmp_path)
+    assert "2 次试验中有 1 次已排除，不参与评定：kicked" in chinese.err + chinese.out
+    # where no run is named the longest that counts is taken; a named one can still be looked at
+    longest = run_command("allan", "--unit", "U", "--signal", "rate", "--store", "s", "--json", cwd=tmp_path).json
+    assert longest["run"] == "good"
+    named = ("--run", "kicked", "--store", "s", "--json")
+    assert run_command("allan", "--unit", "U", "--signal", "rate", *named, cwd=tmp_path).json["run"] == "kicked"
+    # the record stays, and who excluded it, when and why
+    rows = run_command("sql", "select run, unit, reason, by_whom from exclusions", "--store", "s", "--json", cwd=tmp_path)
+    assert rows.json == [{"run": "kicked", "unit": "U", "reason": "the table was kicked", "by_whom": "Li Wei"}]
+    acts = run_command("audit", "--unit", "U", "--store", "s", "--json", cwd=tmp_path).json
+    (act,) = [row for row in acts if row["kind"] == "ExclusionEntered"]
+    assert (act["by"], act["run"], act["what"]) == ("Li Wei", "kicked", "excluded from evaluation, the table was kicked")
+
+    # twice changes nothing; the way back does
+    again = run_command("runs", "exclude", "kicked", *why, "--json", cwd=tmp_path).json
+    assert (again["units"], again["already"], again["uids"]) == ([], ["U"], [])
+    assert run_command("runs", "include", "kicked", *why, cwd=tmp_path).code == 0
+    assert _verdicts(run_command, tmp_path) == {"U": ("FAIL", "FAIL")}
+
+
+def test_a_mistyped_serial_is_no_unit_once_its_runs_are_excluded(run_command: Run, tmp_path: Path) -> None:
+    _store(run_command, tmp_path, {("U", "a"): 5.0, ("X", "b"): 40.0})
+    unknown = run_command("runs", "exclude", "b", "--unit", "U", "--reason", "x", "--store", "s", cwd=tmp_path)
+    assert (unknown.code, "it tested X" in unknown.err) == (1, True)
+    lacking = run_command("runs", "exclude", "nix", "--reason", "x", "--store", "s", cwd=tmp_path)
+    assert (lacking.code, "the last runs are b, a" in lacking.err) == (1, True)
+    excluded = ("runs", "exclude", "b", "--unit", "X", "--reason", "the serial was U", "--store", "s")
+    assert run_command(*excluded, cwd=tmp_path).code == 0
+    found = run_command("verdicts", "--store", "s", "--json", cwd=tmp_path).json
+    assert [row["unit"] for row in found["units"]] == ["U"]
+    (warning,) = [row for row in found["warnings"] if row["unit"] == "X"]
+    assert "1 of its 1 run excluded from evaluation: b (the serial was U;" in warning["reason"]
+    listed = run_command("runs", "list", "--store", "s", "--json", cwd=tmp_path).json
+    assert {row["run"]: [each["unit"] for each in row["excluded"]] for row in listed} == {"a": [], "b": ["X"]}
+
+
+@pytest.mark.long
+def test_a_check_of_another_unit_is_excluded_alone(run_command: Run, tmp_path: Path) -> None:
+    _store(run_command, tmp_path, {("U", "a"): 5.0})
+    entered = ("check", "--unit", "U", "--item", "visual", "--verdict", "FAIL", "--by", "Li Wei", "--store", "s")
+    uid = run_command(*entered, "--json", cwd=tmp_path).json["uid"]
+    assert _verdicts(run_command, tmp_path)["U"][0] == "FAIL"
+    both = run_command("runs", "exclude", "a", "--check", uid, "--reason", "x", "--store", "s", cwd=tmp_path)
+    assert (both.code, "name a RUN" in both.err) == (1, True)
+    excluded = ("--check", uid, "--reason", "it was of U2", "--store", "s")
+    assert run_command("runs", "exclude", *excluded, cwd=tmp_path).code == 0
+    assert _verdicts(run_command, tmp_path)["U"] == ("PASS", "PASS")
+    assert run_command("runs", "include", *excluded, cwd=tmp_path).code == 0
+    assert _verdicts(run_command, tmp_path)["U"][0] == "FAIL"
+
+
+@pytest.mark.long
+def test_a_diagnosis_names_what_it_leaves_out(run_command: Run, tmp_path: Path) -> None:
+    names = {("U", f"r{number}"): 5.0 for number in range(5)}
+    _store(run_command, tmp_path, names | {("U", "kicked"): 40.0})
+    excluded = ("runs", "exclude", "kicked", "--reason", "kicked", "--store", "s")
+    assert run_command(*excluded, cwd=tmp_path).code == 0
+    asked = ("diagnose", "--unit", "U", "--model", "rate = bias", "--store", "s", "--json")
+    found = run_command(*asked, cwd=tmp_path).json
+    text = json.dumps(found)
+    assert "they are excluded from evaluation: kicked (kicked)" in text
+    assert "kicked" not in {run for run in (*found.get("runs", ()), *found.get("held_out_runs", ()))}
