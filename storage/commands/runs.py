@@ -71,8 +71,8 @@ def runs() -> None:
     and `events` name.
 
     \b
-    gyrofleet runs exclude r-2026-11-05 --reason "the table was kicked" --by "Li Wei"
-    gyrofleet runs exclude lot-7 --unit FOG-12 --reason "wrong serial: it was FOG-21"
+    gyrofleet runs exclude static-3 --reason "the table was kicked"
+    gyrofleet runs exclude lot-7 --unit FOG-12 --reason "was FOG-21"
     """  # noqa: D301  click's mark for lines that are not to be joined
 
 

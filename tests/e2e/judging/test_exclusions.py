@@ -58,11 +58,13 @@ def test_an_excluded_run_is_out_of_every_evaluation_until_it_is_included(run_com
     named = ("--run", "kicked", "--store", "s", "--json")
     assert run_command("allan", "--unit", "U", "--signal", "rate", *named, cwd=tmp_path).json["run"] == "kicked"
     # the record stays, and who excluded it, when and why
-    rows = run_command("sql", "select run, unit, reason, by_whom from exclusions", "--store", "s", "--json", cwd=tmp_path)
+    asked = ("sql", "select run, unit, reason, by_whom from exclusions", "--store", "s", "--json")
+    rows = run_command(*asked, cwd=tmp_path)
     assert rows.json == [{"run": "kicked", "unit": "U", "reason": "the table was kicked", "by_whom": "Li Wei"}]
     acts = run_command("audit", "--unit", "U", "--store", "s", "--json", cwd=tmp_path).json
     (act,) = [row for row in acts if row["kind"] == "ExclusionEntered"]
-    assert (act["by"], act["run"], act["what"]) == ("Li Wei", "kicked", "excluded from evaluation, the table was kicked")
+    assert (act["by"], act["run"]) == ("Li Wei", "kicked")
+    assert act["what"] == "excluded from evaluation, the table was kicked"
 
     # twice changes nothing; the way back does
     again = run_command("runs", "exclude", "kicked", *why, "--json", cwd=tmp_path).json
@@ -112,4 +114,5 @@ def test_a_diagnosis_names_what_it_leaves_out(run_command: Run, tmp_path: Path) 
     found = run_command(*asked, cwd=tmp_path).json
     text = json.dumps(found)
     assert "they are excluded from evaluation: kicked (kicked)" in text
-    assert "kicked" not in {run for run in (*found.get("runs", ()), *found.get("held_out_runs", ()))}
+    assert "r4" in text
+    assert '"kicked"' not in text

@@ -24,6 +24,8 @@ from stream.errors import QueryError
 from stream.events import (
     EstimatePoint,
     EstimatePublished,
+    ExclusionAction,
+    ExclusionEntered,
     PowerOn,
     RunEnded,
     RunStarted,
@@ -81,6 +83,9 @@ def three(filler: Filler) -> Filler:
         if part == 0:
             filler.build()
     filler.document(RunEnded(run="r1", t_ns=START_NS + 80 * SECOND_NS))
+    excluded = ExclusionAction.EXCLUDED
+    at_ns = START_NS + 81 * SECOND_NS
+    filler.document(ExclusionEntered(run="r1", t_ns=at_ns, action=excluded, by="Li", reason="kicked", unit="U1"))
     filler.sync()
     return filler
 
