@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from analytics.trends.chart_sentences import beyond, moment
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.charts.nelson_rules import RULES
 from analytics.trends.groups.between_stations import Difference, GroupComparison, Pairs
@@ -9,7 +10,7 @@ from analytics.trends.groups.level_drifts import LevelDrift
 from analytics.trends.levels.change_points import Changes
 from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
-from analytics.trends.report import moment, sentences, stands_out
+from analytics.trends.report import sentences, stands_out
 from analytics.trends.series import MetricSeries, Variant
 from analytics.trends.trend import Chart, Trend
 from analytics.trends.words import NotComputed
@@ -93,6 +94,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
             }
             for rule, points in chart.signals.items()
         ],
+        "beyond_3_sigma": beyond(chart),
         "chance": _plain(chart.chance),
         "wild_point": chart.wild_point,
         "rule_met_too_often": chart.too_many,

@@ -2,33 +2,17 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
 
 from analytics.evaluation.reasons import in_chinese
+from analytics.trends.chart_sentences import drift_parts, moment, of_chart, unremarkable
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
-from analytics.trends.charts.control_chart import IndividualsChart
-from analytics.trends.charts.nelson_rules import RULES, wild_point_chance
 from analytics.trends.groups.between_stations import LEAST_PAIRS, Difference, GroupComparison
-from analytics.trends.levels.change_points import Changes
-from analytics.trends.levels.drift import Drift
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS
-from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
+from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
-from analytics.trends.words import (
-    NOTHING,
-    NotComputed,
-    Words,
-    behind,
-    figures,
-    group_name,
-    interval,
-    joined,
-    listed,
-    words,
-)
+from analytics.trends.words import NOTHING, NotComputed, Words, behind, group_name, interval, joined, listed, words
 
-_BRIEF_DAYS = 10
 _MOST_NAMED = 8
 _POSSIBLE = 0.05  # chance up to which a drift that is not significant is reported as a possible one
 
@@ -46,6 +30,7 @@ def sentences(trend: Trend) -> list[Words]:
         *_of_products(trend),
         *_of_order(trend),
         *found,
+        *unremarkable(trend.charts),
         *_possible_drifts(trend),
         *_of_repeated(trend),
         *_of_components(trend),
@@ -61,25 +46,8 @@ def stands_out(trend: Trend) -> bool:
 
 def significant(trend: Trend) -> list[Words]:
     """Sentences on what is significant; none where nothing is."""
-    of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in _of_chart(chart))
+    of_charts = (_about(trend, [chart.name], each) for chart in trend.charts for each in of_chart(chart))
     return [*_of_shifts(trend), *_of_drifts(trend), *of_charts, *_of_groups(trend), *_of_scatters(trend)]
-
-
-def moment(series: MetricSeries, index: int) -> str:
-    """When a point was measured (UTC); its number where dates are unknown.
-
-    >>> import numpy as np
-    >>> from analytics.trends.series import Variant
-    >>> one = MetricSeries("bias", "deg/h", np.zeros(1), np.zeros(1), np.array([1_763_683_200 * 10**9]), ["U"], ["r"],
-    ...                    {}, Variant("", ()), (), 0, True)
-    >>> moment(one, 0)
-    '2025-11-21 00:00'
-    """
-    if not series.dated:
-        return f"#{index + 1}"
-    is_brief = int(series.t_ns[-1] - series.t_ns[0]) < _BRIEF_DAYS * NS_PER_DAY
-    at = datetime.fromtimestamp(int(series.t_ns[index]) // 10**9, UTC)
-    return at.strftime("%Y-%m-%d %H:%M" if is_brief else "%Y-%m-%d")
 
 
 def _head(trend: Trend) -> Words:
@@ -174,75 +142,14 @@ def _unsteady(series: MetricSeries, found: LevelShifts) -> Words:
     return words("unsteady", deviation=deviation, largest=largest)
 
 
-def _of_chart(chart: Chart) -> Iterator[Words]:
-    series, unit = chart.series, chart.series.unit_of_measure
-    if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
-        for change in chart.changes.points:
-            yield words(
-                "change" if change.is_certain else "change_possible",
-                size=interval(change.size, change.lo, change.hi, unit),
-                before=moment(series, change.first - 1), after=moment(series, change.last),
-                here=f"{series.unit[change.at]}, {moment(series, change.at)}",
-            )  # fmt: skip
-    if chart.drifts:
-        yield words("drift", **_drift_parts(chart))
-    if isinstance(chart.limits, NotComputed):
-        return
-    if chart.wild_point is not None:
-        yield _outlier(chart, chart.limits, chart.wild_point)
-        yield from _beyond(chart, chart.limits, chart.wild_point)
-    # a moving level meets the rules by itself
-    if chart.too_many is not None and not (chart.has_changed or chart.drifts or chart.shifts or chart.is_unsteady):
-        yield words(
-            "rule_met", rule=chart.too_many, text=RULES[chart.too_many - 1], count=chart.counts[chart.too_many - 1],
-            first=moment(series, chart.signals[chart.too_many][0]),
-            expected=0.0 if chart.chance is None else chart.chance.expected[chart.too_many - 1],
-        )  # fmt: skip
-        if chart.too_many == 1 and chart.wild_point is None:
-            yield from _beyond(chart, chart.limits, None)
-
-
 def _possible_drifts(trend: Trend) -> Iterator[Words]:
     """Drifts that are not significant among so many charts, and that noise seldom shows."""
     for chart in trend.charts:
         chance = chart.drift_chance
         if chance is not None and chart.drift_is_by_chance and chance <= _POSSIBLE and chart.in_control:
             charts = words("one_of_one" if chart.tested == 1 else "of_charts", n=chart.tested)
-            text = words("drift_possible", chance=chance, charts=charts, **_drift_parts(chart))
+            text = words("drift_possible", chance=chance, charts=charts, **drift_parts(chart))
             yield _about(trend, [chart.name], text)
-
-
-def _drift_parts(chart: Chart) -> dict[str, Words]:
-    """The slope of a chart and what it is per."""
-    assert isinstance(chart.drift, Drift)
-    return {
-        "size": interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, chart.series.unit_of_measure),
-        "per": words("per_day" if chart.series.dated else "per_point"),
-    }
-
-
-def _outlier(chart: Chart, limits: IndividualsChart, point: int) -> Words:
-    series = chart.series
-    return words(
-        "outlier", where=f"{series.unit[point]}, {moment(series, point)}",
-        value=figures(float(chart.charted[point]), limits.sigma), unit=behind(series.unit_of_measure),
-        z=float(chart.z[point]),
-        centre=figures(limits.centre, limits.sigma), n=chart.charted.size, chance=wild_point_chance(chart.charted),
-    )  # fmt: skip
-
-
-def _beyond(chart: Chart, limits: IndividualsChart, wild: int | None) -> Iterator[Words]:
-    """The points beyond 3 sigma, the farthest first, without the one that is named already."""
-    series = chart.series
-    points = sorted((each for each in chart.signals.get(1, []) if each != wild), key=lambda at: -abs(chart.z[at]))
-    if points:
-        unit = behind(series.unit_of_measure)
-        named = [
-            f"({series.unit[at]}, {moment(series, at)}: {figures(float(chart.charted[at]), limits.sigma)}{unit}, "
-            f"{chart.z[at]:+.1f} sigma)"
-            for at in points
-        ]
-        yield words("beyond" if wild is None else "beyond_too", points=listed(named, _MOST_NAMED))
 
 
 def _nothing(trend: Trend) -> Words:

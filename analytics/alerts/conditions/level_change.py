@@ -28,8 +28,8 @@ class LevelChangeCondition(Condition, frozen=True, kw_only=True, tag="level_chan
         yield from found[1]
 
     def _computed(self, view: AlertView, key: str) -> list[Finding]:
+        from analytics.trends.chart_sentences import moment
         from analytics.trends.levels.level_watch import LevelWatch, level_watch
-        from analytics.trends.report import moment
         from analytics.trends.series import Choice, read_series
         from storage.sql.catalog import Catalog
 

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from analytics.trends.charts.capability import Capability, capability
+from analytics.trends.document import document
 from analytics.trends.series import read_series
 from analytics.trends.trend import trend_of
 from gyrofleet import main
@@ -73,3 +74,16 @@ def test_all_points_beyond_3_sigma_are_named_beside_a_wild_one(reported: Reporte
     said = english(trend_of(read_series(reported(one_each(values)), "bias")))
     assert said.count("10.00 deg/h, +") == 7
     assert " and 4 more." in said
+
+
+def test_a_point_beyond_3_sigma_is_named_where_nothing_is_significant(reported: Reported) -> None:
+    values = np.random.default_rng(20260747).normal(0, 0.5, 100)
+    values[30] = -2.0
+    trend = trend_of(read_series(reported(one_each(values)), "bias"))
+    said = english(trend)
+    assert "Nothing stands out" in said
+    (point,) = document(trend)["charts"][0]["beyond_3_sigma"]
+    assert (point["unit"], point["value"]) == ("U030", -2.0)
+    assert point["sigmas"] < -3
+    where = f"U030, {point['run']}, {point['time']}: -2.00 deg/h, {point['sigmas']:+.1f} sigma"
+    assert f"Beyond 3 sigma, not significantly more than noise gives: ({where})." in said
