@@ -1,7 +1,7 @@
 """Every kind of file that people write for gyrofleet, how it is recognised, and how it is checked."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,9 +42,11 @@ def _has(*keys: str) -> Callable[[Mapping[str, Any]], bool]:
 
 def _station(path: Path) -> str:
     from ingest.run.station_security import station_security
+    from ingest.station.serial_devices import SerialDevices
     from ingest.station.station import load_station
 
     found = load_station(path)
+    SerialDevices().add(found, found.lines)
     found.make_instruments(found.make_clock())
     station_security(path)
     return f"{counted(len(found.instruments), 'instrument')}, {counted(len(found.slots), 'slot')}"
@@ -179,6 +181,26 @@ def checked(path: Path, kind: str | None, commands: Commands) -> Checked:
         named = str(error) if str(path) in str(error) else f"{path}: {error}"
         return Checked(file=str(path), kind=kind or "", problem=named)
     return Checked(file=str(path), kind=kind, text=text)
+
+
+def checked_together(found: Sequence[Checked]) -> list[Checked]:
+    """Stations that are well each by itself, and have a serial device in common, are not."""
+    from ingest.station.serial_devices import SerialDevices
+    from ingest.station.station import load_station
+
+    devices, together = SerialDevices(), []
+    files: set[Path] = set()
+    for each in found:
+        path = Path(each.file)
+        if each.kind == "station" and not each.problem and (file := path.resolve()) not in files:
+            files.add(file)
+            try:
+                station = load_station(path)
+                devices.add(station, station.lines)
+            except GyrofleetError as error:
+                each = Checked(file=each.file, kind=each.kind, problem=str(error))
+        together.append(each)
+    return together
 
 
 def _content_of(path: Path) -> bytes:

@@ -177,11 +177,18 @@ class SerialLine:
 
 
 def device_of(port: str) -> str:
-    """What a port is, whichever of its paths names it.
+    """What a port is, whichever of its paths or addresses names it.
 
     >>> device_of("/dev/null") == device_of("/dev/../dev/null") != device_of("/dev/zero")
     True
+    >>> device_of("socket://Box-1:7000"), device_of("rfc2217://box-1:7000?logging=debug"), device_of("spy:///dev/null")
+    ('box-1:7000', 'box-1:7000', '1:3')
     """
+    scheme, _, rest = port.partition("://")
+    if rest and scheme.lower() in {"socket", "rfc2217"}:
+        return rest.partition("?")[0].rstrip("/").lower()
+    if rest and scheme.lower() in {"spy", "alt"}:
+        port = rest.partition("?")[0]
     with suppress(OSError, ValueError):
         about = Path(port).stat()
         if stat.S_ISCHR(about.st_mode):

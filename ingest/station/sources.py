@@ -13,14 +13,13 @@ from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
 from ingest.can.summary import MessageCount
 from ingest.instruments.base import Instrument
-from ingest.instruments.scpi import ScpiOptions
-from ingest.instruments.visa import serial_port
 from ingest.serial.frame_layout import FrameLayout, load_layout
-from ingest.serial.serial_line import BATCH_S, SerialLine, device_of, open_port
+from ingest.serial.serial_line import BATCH_S, SerialLine, open_port
 from ingest.station.checks.room import Flow
 from ingest.station.run_log import RunLog
 from ingest.station.sampling import BATCH_S as INSTRUMENT_BATCH_S
 from ingest.station.sampling import Sampler
+from ingest.station.serial_devices import SerialDevices
 from ingest.station.source_watch import RunSource
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
@@ -53,7 +52,7 @@ class StationSources:
             with self._fault():
                 self._layouts[name] = load_layout(station.beside(line.layout))
         self._check_twice()
-        self._check_ports()
+        SerialDevices().add(station, self._lines)  # a unit that is not tested takes nothing
         known = {unit for plan in self._plans.values() for unit in plan.units}
         known |= {line.unit for line in station.lines.values()}
         if (strangers := sorted(self._units - known)) and len(self._plans) == len(station.buses):
@@ -121,22 +120,6 @@ class StationSources:
                 what = f"signal {signal} of unit {unit}" if signal else f"unit {unit}"
                 twice = f"{what} comes from {other} and from {way} as well"
                 raise BadInput(f"{self._station.path}: {twice}: take it out of one")
-
-    def _check_ports(self) -> None:
-        """Refuse a serial device with two users, by whichever of its paths: each would take part of what comes."""
-        ports = [(f"lines.{name}", line.port) for name, line in self._lines.items()]
-        for name, (_, options) in self._station.instruments.items():
-            if isinstance(options, ScpiOptions) and (port := serial_port(options.resource)) is not None:
-                ports.append((f"instruments.{name}", port))
-        users: dict[str, tuple[str, str]] = {}
-        for user, port in ports:
-            other, other_port = users.setdefault(device_of(port), (user, port))
-            if other != user:
-                named = port if port == other_port else f"{other_port} and {port}"
-                raise BadInput(
-                    f"{self._station.path}: {other} and {user} are on one serial device, {named}: each would take part "
-                    "of what comes; give each its own"
-                )
 
     def cannot_be_opened(self) -> list[str]:
         """A sentence for each file that is unusable, and each bus and line that cannot be opened now."""

@@ -52,12 +52,12 @@ def check(files: tuple[Path, ...], kind: str | None, *, as_json: bool) -> None:
     Stations, lists of units, specifications, rules of alerts, procedures, simulated fleets, CAN mappings, serial
     frames, orders of certificates, users, logins, a site's rules and access list, and settings of roles (--config).
     """
-    from analytics.config_kinds import KINDS, checked
+    from analytics.config_kinds import KINDS, checked, checked_together
 
     if kind is not None and kind not in KINDS:
         raise BadInput(f"--as {kind}: there is no such kind; there are {', '.join(KINDS)}")
     commands = _commands()
-    found = [checked(path, kind, commands) for path in files]
+    found = checked_together([checked(path, kind, commands) for path in files])
     if as_json:
         print_json({"is_well": all(not each.problem for each in found), "files": found})
     else:

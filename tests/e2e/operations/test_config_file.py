@@ -123,6 +123,26 @@ def test_every_kind_of_file_is_recognised_and_its_fault_named(kind: str, tmp_pat
     assert name in found["problem"]
 
 
+def test_two_users_of_a_serial_device_are_named(tmp_path: Path) -> None:
+    (tmp_path / "tty").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "tty")
+    station = '[station]\nsite = "a"\nname = "{name}"\n'
+    line = '[lines.{name}]\nport = "{port}"\nunit = "{name}"\nlayout = "x.toml"\n'
+    for first, second in ((tmp_path / "tty", tmp_path / "by-id"), ("socket://box:7000", "socket://Box:7000/")):
+        lines = line.format(name="L1", port=first), line.format(name="L2", port=second)
+        whole, one, other = (tmp_path / name for name in ("whole.toml", "one.toml", "other.toml"))
+        whole.write_text(station.format(name="b") + "".join(lines))
+        code, (found,) = check(whole)
+        named = f"are on one serial device, {first} and {second}: "
+        assert (code, found["problem"].startswith(f"{whole}: lines.L1 and lines.L2 {named}")) == (1, True)
+        for path, each in ((one, lines[0]), (other, lines[1])):
+            path.write_text(station.format(name=path.stem) + each)
+            assert check(path)[0] == check(path, path)[0] == 0
+        code, (well, found) = check(one, other)
+        assert (code, well["problem"]) == (1, "")
+        assert found["problem"].startswith(f"{other}: lines.L1 of {one} and lines.L2 {named}")
+
+
 def test_a_file_that_is_not_there_is_no_file_without_rules(tmp_path: Path) -> None:
     for name in ("site.toml", "users.toml"):
         done = CliRunner().invoke(main, ["config", "check", str(tmp_path / "nowhere" / name), "--json"])
