@@ -93,6 +93,8 @@ def _show(found: "StoreStatus") -> None:
     for role in found.roles:
         if role.status.run is not None and role.status.run.released:
             console.print(_released(role.status.run), soft_wrap=True)
+    if any(role.condition == "unknown" for role in found.roles):
+        console.print("no recorder is at work: what runs and estimators do now is not known")
     if found.last_message_age_s is not None:
         console.print(f"last message {found.last_message_age_s:,.1f} s ago")
     spool = f"; {format_bytes(found.spool_bytes)} in spools" if found.spool_bytes else ""
@@ -121,7 +123,7 @@ def _what(role: "RoleReport") -> str:
             early += (
                 f"; {len(run.released)} of {len(run.units)} units released, {run.saved_s / 3600:,.1f} unit hours saved"
             )
-        doing = [run.doing, left] if role.condition in {*_AT_WORK, "silent"} else []
+        doing = [run.doing, left] if role.condition in {*_AT_WORK, "silent", "unknown"} else []
         return ", ".join(filter(None, [f"{run.run}: step {run.step} of {run.steps}", *doing])) + early + waiting
     samples = status.numbers.get("samples_total")
     lag_s = status.numbers.get("lag_seconds")

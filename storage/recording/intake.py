@@ -61,6 +61,7 @@ class RecorderCounts:
     left_to_sources: int = 0
     segments: int = 0
     interruptions: int = 0
+    last_sample_ns: int = 0  # when it arrived
     rejections: deque[str] = field(default_factory=lambda: deque(maxlen=20))
 
 
@@ -228,6 +229,7 @@ class Intake:
                 self._owners.add(run, parsed.place.station)
             self._runs[key] = run
         self.counts.samples += next_seq - seq
+        self.counts.last_sample_ns = arrival_ns
         before_ns = self._last_ns.get(stream)
         self._last_ns[stream] = last_ns
         if before_ns is not None and t0_ns <= before_ns:

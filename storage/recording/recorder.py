@@ -108,6 +108,7 @@ class Recorder(Closing):
         numbers = {f"{name}_total": float(getattr(counts, name)) for name in (*names, "segments")}
         numbers |= {"clock_steps_back_total": float(counts.backwards), "queue_bytes": float(self._incoming_bytes)}
         numbers |= {"free_bytes": float(self._watch.free_bytes), "last_message_seconds": self._arrived_ns / 1e9}
+        numbers |= {"last_sample_seconds": counts.last_sample_ns / 1e9}
         if self._credentials is not None:
             numbers |= self._credentials.numbers
         lake = "" if self._builder is None else self._builder.trouble

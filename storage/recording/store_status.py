@@ -1,6 +1,8 @@
 """The status of a store: its roles, disk, log, lake and spools, and what is wrong with them."""
 
 import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
@@ -13,12 +15,13 @@ from storage.store import Store
 from stream.status.role_status import SILENT_AFTER_S, Role, RoleState, RoleStatus
 
 _SHOW_ENDED_S = 3_600.0
+_THROUGH_RECORDER = {Role.RUN, Role.ESTIMATE}  # their reports; others keep theirs in the store themselves
 _LAKE_LATE_S = 60.0  # a sealed segment is in the lake after some seconds
 
 
 class RoleReport(msgspec.Struct, frozen=True, kw_only=True):
     """A role as its last status has it; `condition` is ``working``, ``paused``, ``failed``, ``interrupted``, ``ended``,
-    ``silent`` or ``killed``.
+    ``silent``, ``killed``, or ``unknown``: it reports through the recorder, and none is at work.
     """
 
     condition: str
@@ -36,6 +39,7 @@ class StoreStatus(msgspec.Struct, frozen=True, kw_only=True):
     roles: tuple[RoleReport, ...]
     verdicts: dict[str, int]  # units of the runs at work by verdict so far; ``undecided`` for the others
     last_message_age_s: float | None  # of the recorder; None where none is at work
+    last_sample_ns: int | None  # when the last recorder recorded its last sample; None where it has none
     free_bytes: int
     disk_bytes: int
     segments: int
@@ -45,9 +49,10 @@ class StoreStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 def store_status(store: Store) -> StoreStatus:
     """Look at a store; raises StoreError if its manifests are damaged."""
-    reports = [_report(status) for status in read_statuses(store)]
+    statuses = read_statuses(store)
+    reports = [_report(*each) for each in zip(statuses, conditions(statuses), strict=True)]
+    recorded_s = max((each.numbers.get("last_sample_seconds", 0.0) for each in statuses), default=0.0)
     roles = tuple(each for each in reports if each.condition != "ended" or each.age_s <= _SHOW_ENDED_S)
-    has_recorder = any(each.status.role is Role.RECORD and each.condition in {"working", "paused"} for each in roles)
     # the recorder and the estimators in the process of a run are started with it
     killed = {(each.status.host, each.status.pid) for each in roles if each.status.run and each.condition == "killed"}
     own = [each for each in roles if each.status.run or (each.status.host, each.status.pid) not in killed]
@@ -57,16 +62,29 @@ def store_status(store: Store) -> StoreStatus:
     space = DISK.space(store.folder)
     return StoreStatus(
         store=str(store.folder), at_ns=time.time_ns(), roles=roles, verdicts=_verdicts(roles),
-        troubles=(*(each for role in own for each in _troubles(role, has_recorder=has_recorder)), *_late(waiting)),
+        troubles=(*(each for role in own for each in _troubles(role, recorded_s)), *_late(waiting)),
         last_message_age_s=min((age for role in roles if (age := _silence_s(role)) is not None), default=None),
+        last_sample_ns=round(recorded_s * 1e9) or None,
         free_bytes=space.free, disk_bytes=space.total, segments=len(sealed), segments_not_in_lake=len(waiting),
         spool_bytes=sum(path.stat().st_size for path in store.folder.glob("spool/**/*") if path.is_file()),
     )  # fmt: skip
 
 
-def _report(status: RoleStatus) -> RoleReport:
+def conditions(statuses: Sequence[RoleStatus]) -> list[str]:
+    """The condition of each of a store's roles; ``unknown`` of one that no recorder is there to hear."""
+    found = [each.condition for each in statuses]
+    recorders = {each for each, status in zip(found, statuses, strict=True) if status.role is Role.RECORD}
+    if recorders & {"working", "paused"}:
+        return found
+    return [
+        "unknown" if each == "silent" and status.role in _THROUGH_RECORDER else each
+        for each, status in zip(found, statuses, strict=True)
+    ]
+
+
+def _report(status: RoleStatus, condition: str) -> RoleReport:
     works_s = (status.at_ns - status.began_ns) / 1e9
-    return RoleReport(condition=status.condition, age_s=status.age_s, works_s=works_s, status=status)
+    return RoleReport(condition=condition, age_s=status.age_s, works_s=works_s, status=status)
 
 
 def _silence_s(role: RoleReport) -> float | None:
@@ -84,13 +102,18 @@ def _verdicts(roles: tuple[RoleReport, ...]) -> dict[str, int]:
     return counts
 
 
-def _troubles(role: RoleReport, *, has_recorder: bool) -> list[str]:
+def _troubles(role: RoleReport, recorded_s: float) -> list[str]:
     status = role.status
     name = f"`gyrofleet {status.role}` at {status.name}" + (f" (run {status.run.run})" if status.run else "")
     found = []
     if role.condition == "silent":
-        how = "every second" if has_recorder else "through the recorder, which is not at work"
-        found.append(f"{name} has reported nothing for {role.age_s:,.0f} s; it reports {how}")
+        found.append(f"{name} has reported nothing for {role.age_s:,.0f} s; it reports every second")
+    elif role.condition == "unknown":
+        last = f"; the last sample was recorded at {_moment(recorded_s)}" if recorded_s else ""
+        found.append(
+            f"no recorder is at work, so it is not known whether {name} is: it reported last {role.age_s:,.0f} s "
+            f"ago{last}; start `gyrofleet record`"
+        )
     elif role.condition == "killed":
         found.append(f"{name} was killed {role.age_s:,.0f} s ago; start it again, it resumes where it was")
     elif role.condition == "interrupted":
@@ -102,6 +125,15 @@ def _troubles(role: RoleReport, *, has_recorder: bool) -> list[str]:
     if (lag_s := status.numbers.get("lag_seconds", 0.0)) > SILENT_AFTER_S and role.condition == "working":
         found.append(f"{name} is {lag_s:,.0f} s behind what arrives")
     return found
+
+
+def _moment(seconds: float) -> str:
+    """A time with the seconds since then.
+
+    >>> _moment(time.time() - 7.0).endswith(" UTC, 7 s ago")
+    True
+    """
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC, {time.time() - seconds:,.0f} s ago"
 
 
 def _late(waiting: list[Path]) -> list[str]:

@@ -10,6 +10,7 @@ from analytics.loop.bilingual import Bilingual
 from stream.status.role_status import Role
 
 _ZH = {"paused": "已暂停", "failed": "已失败", "interrupted": "已中断", "killed": "已被终止", "silent": "无响应"}
+_UNKNOWN = "not heard, as no recorder is at work", "状态未知（记录器未运行）"
 
 
 class RoleCondition(Condition, frozen=True, kw_only=True, tag="role"):
@@ -24,10 +25,12 @@ class RoleCondition(Condition, frozen=True, kw_only=True, tag="role"):
         """Roles in trouble now."""
         for each in view.status.roles:
             role, condition = each.status.role.value, each.condition
-            if role in self.roles and condition in self.conditions:
+            # of one that reports through the recorder nobody knows more than that it is silent
+            if role in self.roles and ("silent" if condition == "unknown" else condition) in self.conditions:
                 name = f"`gyrofleet {role}` ({each.status.name})"
                 why = f": {each.status.trouble}" if each.status.trouble else ""
-                text = Bilingual(f"{name} is {condition}{why}", f"{name}{_ZH.get(condition, condition)}{why}")
+                en, zh = _UNKNOWN if condition == "unknown" else (condition, _ZH.get(condition, condition))
+                text = Bilingual(f"{name} is {en}{why}", f"{name}{zh}{why}")
                 yield Finding(f"{each.status.file_name}/{condition}", name, text)
 
 

@@ -14,7 +14,7 @@ from storage.log.recovery import left_open
 from storage.manifests.lake import left_aside, read_manifest
 from storage.manifests.log import read_log_manifest
 from storage.recording.status_board import read_statuses
-from storage.recording.store_status import StoreStatus, store_status
+from storage.recording.store_status import StoreStatus, conditions, store_status
 from storage.store import Store, writer_endpoint, writer_is_active
 
 _MOST_SEGMENTS = 50
@@ -217,12 +217,13 @@ def _segments(store: Store) -> list[SegmentRow]:
 
 
 def _counters(store: Store) -> list[CounterRow]:
+    statuses = read_statuses(store)
     return [
         CounterRow(
-            role=each.role, name=each.name, condition=each.condition, at_ns=each.at_ns, at=iso(each.at_ns),
+            role=each.role, name=each.name, condition=condition, at_ns=each.at_ns, at=iso(each.at_ns),
             numbers={name: value for name, value in each.numbers.items() if name.endswith("_total")},
         )
-        for each in read_statuses(store)
+        for each, condition in zip(statuses, conditions(statuses), strict=True)
     ]  # fmt: skip
 
 

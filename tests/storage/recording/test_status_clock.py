@@ -9,8 +9,10 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 
 import storage.recording.recorder as recording
+from gyrofleet import main
 from storage.log.event_log import EventLog
 from storage.recording.recorder import Recorder
 from storage.recording.status_board import FOLDER, StatusBoard
@@ -53,9 +55,31 @@ def test_a_clock_that_leaps_changes_nothing(
         status, at_ns=status.at_ns + leap_ns, pid=dead_process() if is_dead else os.getpid()
     )
     put(store, status, seconds_ago)
+    put(store, new_status(Role.RECORD, time.time_ns()), 0)
     found = store_status(store)
-    assert [each.condition for each in found.roles] == [condition]
+    assert [each.condition for each in found.roles] == [condition, "working"]
     assert bool(found.troubles) == (condition != "working")
+
+
+def test_without_a_recorder_nobody_knows_whether_a_run_is_at_work(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    progress = RunProgress(run="r1", procedure="static_bias", steps=1)
+    put(store, new_status(Role.RUN, time.time_ns(), name="c", run=progress), 11)
+    numbers = {"last_sample_seconds": 1_767_225_600.0}
+    recorder = new_status(Role.RECORD, time.time_ns(), numbers=numbers)
+    put(store, msgspec.structs.replace(recorder, state=RoleState.ENDED), 7_200)
+    found = store_status(store)
+    assert [each.condition for each in found.roles] == ["unknown"]
+    assert found.last_sample_ns == 1_767_225_600 * 10**9
+    (trouble,) = found.troubles
+    assert "no recorder is at work, so it is not known whether `gyrofleet run` at c (run r1) is" in trouble
+    assert "it reported last 11 s ago; the last sample was recorded at 2026-01-01 00:00:00 UTC, " in trouble
+    done = CliRunner().invoke(main, ["status", "--store", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "no recorder is at work" in done.stdout
+    assert "silent" not in done.output
+    put(store, recorder, 0)
+    assert [each.condition for each in store_status(store).roles] == ["working", "silent"]
 
 
 def test_what_a_killed_run_had_in_its_process_is_started_with_it(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from analytics.serve.api.rows import dictionaries, iso
 from analytics.serve.live.course import OfCourse, Received
 from storage.recording.run_command import withdrawn_commands
 from storage.recording.status_board import read_statuses
+from storage.recording.store_status import conditions
 from stream.decoding import decode_json
 from stream.errors import NotFound
 from stream.events import (
@@ -307,10 +308,11 @@ def _alerts(call: Call, run: str, units: set[str], received: list[Received], las
 
 
 def _progress(call: Call, run: str) -> CourseProgress | None:
-    for status in read_statuses(call.store):
+    statuses = read_statuses(call.store)
+    for status, condition in zip(statuses, conditions(statuses), strict=True):
         if status.role is ProgramRole.RUN and status.run is not None and status.run.run == run:
             now = status.run
             return CourseProgress(
-                condition=status.condition, step=now.step, steps=now.steps, doing=now.doing, left_s=now.left_s
+                condition=condition, step=now.step, steps=now.steps, doing=now.doing, left_s=now.left_s
             )
     return None
