@@ -13,11 +13,15 @@ _LARGEST_SHARE = 8
 
 @dataclass(frozen=True)
 class Answer:
-    """The body of an answer, and its media type; headers say what a table cannot, as that there is more of it."""
+    """The body of an answer, and its media type; headers say what a table cannot, as that there is more of it.
+
+    `status` is that of HTTP where it is not the operation's own.
+    """
 
     body: bytes
     media_type: str
     headers: tuple[tuple[str, str], ...] = ()
+    status: int = 0
 
 
 class AnswerCache:

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlencode
 
@@ -14,7 +15,7 @@ from starlette.routing import Route
 
 from analytics.serve.answer_cache import Answer
 from analytics.serve.api.encoding import Form, encoded, form_of
-from analytics.serve.api.operation import Call, NotYet, Operation
+from analytics.serve.api.operation import UNFINISHED, Call, NotYet, Operation
 from analytics.serve.doors.admission import admitted, check_change
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import TooLarge, TooSlow
@@ -57,7 +58,10 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
 
     def answer(state: LakeState, *, is_patient: bool) -> Answer:
         with call(state, is_patient=is_patient) as leased:
-            return encoded(operation(leased, asked), form, operation.table)
+            given = operation(leased, asked)
+            made = encoded(given, form, operation.table)
+        is_unfinished = operation.is_unfinished is not None and operation.is_unfinished(given)
+        return replace(made, status=UNFINISHED) if is_unfinished else made
 
     limiter = service.slow if operation.is_slow else service.fast
     is_repeated = operation.role is Role.VIEWER  # what changes something is done once
@@ -68,7 +72,7 @@ async def _respond(request: Request, *, operation: Operation[Any, Any], service:
         finally:
             if not is_repeated:
                 service.has_changed()
-        return Response(made.body, operation.status, dict(made.headers), made.media_type)
+        return Response(made.body, made.status or operation.status, dict(made.headers), made.media_type)
     version = operation.version(service, state, request.path_params)
     tag = f'"{service.nonce}-{version}-{form}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Accept"}

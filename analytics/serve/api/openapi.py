@@ -9,7 +9,7 @@ import msgspec
 
 from analytics.serve.api.encoding import Form
 from analytics.serve.api.endpoint import forms_of
-from analytics.serve.api.operation import Operation
+from analytics.serve.api.operation import UNFINISHED, Operation
 
 _PARAMETER = re.compile(r"\{(\w+)\}")
 _REF = "#/components/schemas/{name}"
@@ -146,6 +146,11 @@ def _operation(
         else {each.media_type.partition(";")[0]: {"schema": answer if each is Form.JSON else {}} for each in forms}
     )
     found["responses"] = {str(operation.status): {"description": operation.about, "content": content}}
+    if operation.is_unfinished is not None:
+        found["responses"][str(UNFINISHED)] = {
+            "description": "It goes on: the text says how to see its end.",
+            "content": content,
+        }
     if operation.is_kept:
         found["responses"]["304"] = {"description": "As the ETag of the request says."}
     error = {"application/json": {"schema": {"$ref": _REF.format(name="Error")}}}

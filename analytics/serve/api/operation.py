@@ -16,6 +16,7 @@ from analytics.serve.shared_lake import LakeState
 from storage.sql.catalog import Catalog
 from storage.store import Store
 
+UNFINISHED = 202
 Asked = TypeVar("Asked", bound=msgspec.Struct)
 Given = TypeVar("Given")
 
@@ -102,6 +103,7 @@ class Operation(Generic[Asked, Given]):
     sees_log: The answer depends on the rows of channels and documents as well that only the log has.
     is_slow: It needs metrics or long computations, in a pool of threads of their own.
     status: Of its answer.
+    is_unfinished: Whether an answer is of something that goes on: its status is 202 then.
     shared_s: Who asks the same within so many seconds gets the same answer.
     media_type: Of an answer that is a file.
     """
@@ -114,6 +116,7 @@ class Operation(Generic[Asked, Given]):
     is_kept: bool = False
     is_slow: bool = False
     status: int = 200
+    is_unfinished: Callable[[Any], bool] | None = None
     is_live: bool = False
     sees_log: bool = False
     shared_s: float = 0.0
@@ -203,12 +206,17 @@ def get(
 
 
 def post(
-    path: str, *, role: Role, is_slow: bool = True, status: int = 200
+    path: str,
+    *,
+    role: Role,
+    is_slow: bool = True,
+    status: int = 200,
+    is_unfinished: Callable[[Any], bool] | None = None,
 ) -> Callable[[Callable[[Call, Asked], Given]], Operation[Asked, Given]]:
     """Declare an operation with a body."""
 
     def declare(handler: Callable[[Call, Asked], Given]) -> Operation[Asked, Given]:
-        return Operation("POST", path, handler, role, is_slow=is_slow, status=status)
+        return Operation("POST", path, handler, role, is_slow=is_slow, status=status, is_unfinished=is_unfinished)
 
     return declare
 

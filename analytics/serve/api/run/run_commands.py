@@ -5,12 +5,12 @@ from typing import Annotated
 
 import msgspec
 
-from analytics.serve.api.operation import Call, Nothing, get, post
+from analytics.serve.api.operation import Call, Nothing, get, link, post
 from analytics.serve.api.run.run_course import CommandRow, run_course
 from analytics.serve.api.run.runs import run_row
 from analytics.serve.doors.roles import Role
 from analytics.serve.problems import Conflict, TooMany
-from storage.recording.run_command import command_documents, give_command, is_at_work
+from storage.recording.run_command import PATIENCE_S, command_documents, give_command, is_at_work
 from stream.errors import BadInput, NotFound
 from stream.events import CommandOutcome, RunAction
 
@@ -25,7 +25,7 @@ class CommandAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class CommandGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """The station's answer: `outcome` is ``done``, or ``accepted`` while it is still at it."""
+    """The station's answer: `outcome` is ``done``, or ``accepted`` where that is not confirmed yet (202)."""
 
     run: str
     command: str
@@ -41,10 +41,15 @@ class RunCommands(msgspec.Struct, frozen=True, kw_only=True):
     commands: list[CommandRow]
 
 
-@post("/api/runs/{run}/commands", role=Role.OPERATOR)
+@post(
+    "/api/runs/{run}/commands", role=Role.OPERATOR,
+    is_unfinished=lambda given: given.outcome is CommandOutcome.ACCEPTED,
+)  # fmt: skip
 def command_run(call: Call, asked: CommandAsked) -> CommandGiven:
     """Command the station of a run to pause, resume or abort it, and wait some seconds for its answer.
 
+    202 if the station has taken the command and does not confirm within 5 s that it is carried out: the commands of the
+    run have ``done`` once it is.
     409 if it refuses, if the run has ended, or if it has not taken the command in time: then the command is withdrawn.
     """
     run = call.path["run"]
@@ -62,9 +67,14 @@ def command_run(call: Call, asked: CommandAsked) -> CommandGiven:
         call.service.live.course.add_own(document)
     if answer.outcome in {CommandOutcome.REFUSED, CommandOutcome.UNANSWERED}:
         raise Conflict(f"{asked.action} {answer.outcome}: {answer.text}")
+    more = more_zh = ""
+    if answer.outcome is CommandOutcome.ACCEPTED:
+        see = link("api", "runs", run, "commands")
+        more = f"; not confirmed within {PATIENCE_S:g} s: {see} and the page of the run say when it is done"
+        more_zh = f"；{PATIENCE_S:g} s 内未确认完成：完成后见 {see} 及试验页面"
     return CommandGiven(
-        run=run, command=given.command.id, action=asked.action, outcome=answer.outcome, text=answer.text,
-        text_zh=answer.text_zh,
+        run=run, command=given.command.id, action=asked.action, outcome=answer.outcome, text=answer.text + more,
+        text_zh=answer.text_zh + more_zh,
     )  # fmt: skip
 
 
