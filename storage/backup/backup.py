@@ -4,6 +4,7 @@
 """
 
 import errno
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from storage.manifests.log import LogManifest, manifest_path, read_log_manifest
 from storage.recording.disk_watch import format_bytes
 from storage.segments.disk import DISK, sha256_of
 from storage.store import Store, only_one
-from storage.store_marker import BACKUP, check_folder
+from storage.store_marker import BACKUP, MARKER, check_folder
 from stream.decoding import decode_json
 from stream.errors import BadInput, StoreError
 from stream.files.atomic_file import write_durably
@@ -26,6 +27,7 @@ from stream.files.atomic_file import write_durably
 LOG, OPEN, FILES = "log", "open", "files"
 _FORMAT = 1
 _ATTEMPTS = 20
+_WRITES = "`gyrofleet backup FOLDER --store STORE`"  # of another store than that of a restoration
 
 
 class Backup(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,14 +62,26 @@ def read_backup(folder: Path) -> Backup:
     try:
         found = decode_json((folder / BACKUP).read_bytes(), Backup)
     except FileNotFoundError:
-        raise StoreError(f"{folder} is no backup: it holds no {BACKUP}; `gyrofleet backup` writes one") from None
+        raise StoreError(_no_backup(folder)) from None
     except (OSError, msgspec.MsgspecError) as error:
         raise StoreError(
-            f"{folder / BACKUP} cannot be read: {error}; write the backup again into a new folder"
+            f"{folder / BACKUP} cannot be read: {error}; restore from another backup, and back up into a new folder"
         ) from error
     if found.format > _FORMAT:
         raise StoreError(f"{folder / BACKUP} has a newer format than this gyrofleet reads: upgrade gyrofleet")
     return found
+
+
+def _no_backup(folder: Path) -> str:
+    """Why a folder is no backup, and what is one."""
+    if not folder.exists():
+        return f"the backup {folder} is not there: give a folder that {_WRITES} has written"
+    if (folder / MARKER).exists():
+        writes = f"`gyrofleet backup FOLDER --store {shlex.quote(str(folder))}` writes one"
+        return f"{folder} is a store and no backup: {writes}"
+    near = sorted(each for each in (folder.resolve().parent, *folder.iterdir()) if (each / BACKUP).is_file())
+    one = f"; {near[0]} is one" if near else ""
+    return f"{folder} is no backup: it holds no {BACKUP}{one}; give a folder that {_WRITES} has written"
 
 
 def back_up(

@@ -10,11 +10,13 @@ from storage.backup.backup import FILES, Backup, read_backup
 from storage.backup.copied_file import CopiedFile, copy_file
 from storage.check.recover import Action, recover
 from storage.store import Store
-from storage.store_marker import BACKUP, check_folder, write_markers
+from storage.store_marker import BACKUP, FLEET_MARKER, MARKER, check_folder, write_markers
 from stream.errors import BadInput, StoreError
 from stream.files.atomic_file import write_durably
 
 _RESTORING, _MARK = "restoring", "of.txt"
+_KINDS = {MARKER: "is a store already", BACKUP: "is itself a backup", FLEET_MARKER: "is a fleet store"}
+_GIVE = "give a new folder as --store"
 
 
 def restore(
@@ -25,18 +27,21 @@ def restore(
     StoreError if a file of the backup is damaged; the folder is a store only once everything is verified. The same
     call repeats a restoration that was interrupted.
     """
+    check_folder(source)
     check_folder(folder)
     backup = read_backup(source)
     if folder.resolve().is_relative_to(source.resolve()):
-        raise BadInput(f"{folder} lies within the backup {source}: give another folder")
+        raise BadInput(f"{folder} lies within the backup {source}: give a new folder elsewhere as --store")
     copies = [*_of_log(backup), *backup.open, *backup.files]
     total = max(1, sum(each.size for each in copies))
     fresh = folder / _RESTORING  # not yet where a store's log is: what is incomplete is no store
     try:
         folder.mkdir(parents=True, exist_ok=True)
         held = _held(folder)
+    except FileExistsError as error:
+        raise StoreError(f"{error.filename} is a file: nothing can be restored into {folder}; {_GIVE}") from error
     except OSError as error:
-        raise StoreError(f"cannot restore into {folder}: {error}; give a new folder") from error
+        raise StoreError(f"cannot restore into {folder}: {error}; {_GIVE}") from error
     try:
         _check_empty(folder, backup)
         done = 0
@@ -57,13 +62,21 @@ def restore(
         write_markers(folder, backup.store)
         done_here = list(recover(Store.open(folder)))
         shutil.rmtree(fresh)  # until now the same command begins anew
-    except FileNotFoundError as error:
-        raise StoreError(f"the backup {source} is incomplete: {error}; restore from another one") from error
     except OSError as error:
-        raise StoreError(f"cannot restore into {folder}: {error}; the same command goes on") from error
+        raise StoreError(_failure(source, folder, error)) from error
     finally:
         os.close(held)
     return backup, done_here
+
+
+def _failure(source: Path, folder: Path, error: OSError) -> str:
+    """What fails, by the file that the system names: the backup, the new folder, or either."""
+    name = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else Path()
+    if name.is_relative_to(source):
+        what = "is incomplete" if isinstance(error, FileNotFoundError) else "cannot be read"
+        return f"the backup {source} {what}: {error}; restore from another one"
+    way = "restore into" if name.is_relative_to(folder) else f"copy the backup {source} into"
+    return f"cannot {way} {folder}: {error}; the same command goes on"
 
 
 def _held(folder: Path) -> int:
@@ -98,7 +111,8 @@ def _check_empty(folder: Path, backup: Backup) -> None:
     mark = folder / _RESTORING / _MARK
     if folder.exists() and any(folder.iterdir()):
         if not mark.exists() or mark.read_text() != backup.store:
-            raise StoreError(f"{folder} is not empty; give a new folder to restore into")
+            what = next((text for name, text in _KINDS.items() if (folder / name).exists()), "is not empty")
+            raise StoreError(f"{folder} {what}, and nothing was restored into it: {_GIVE}")
         for path in folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     mark.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from gyrofleet import main
 from storage.backup import restore as restoring
 from storage.backup.backup import back_up, read_backup
 from storage.backup.restore import restore
@@ -198,13 +200,48 @@ def test_folders_of_others_are_refused(store: Store, tmp_path: Path) -> None:
         back_up(other, tmp_path / "B")
     with pytest.raises(StoreError, match="holds other files and is no backup"):
         back_up(other, tmp_path / "S")
-    with pytest.raises(StoreError, match="is not empty"):
+    with pytest.raises(StoreError, match="S is a store already, and nothing was restored into it"):
         restore(tmp_path / "B", tmp_path / "S")
-    with pytest.raises(StoreError, match="is no backup"):
+    with pytest.raises(StoreError, match="S is a store and no backup"):
         restore(tmp_path / "S", tmp_path / "R")
     shutil.rmtree(tmp_path / "B" / "log")
     with pytest.raises(StoreError, match="is incomplete"):
         restore(tmp_path / "B", tmp_path / "R")
+
+
+def test_a_refused_restoration_names_the_folder_that_is_wrong(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands that it proposes are not of the store that is to be made."""
+    monkeypatch.chdir(tmp_path)
+    back_up(store, Path("B"))
+    for name in ("full", "empty"):
+        Path(name).mkdir()
+    Path("full/x").touch()
+    shutil.copytree("B", "C")
+    shutil.copytree("B", "Bad")
+    Path("Bad/backup.json").write_text("{")
+    proposed = "`gyrofleet backup FOLDER --store STORE` has written"
+    for source, folder, expected in (
+        ("B", "S", "S is a store already, and nothing was restored into it: give a new folder as --store"),
+        ("B", "C", "C is itself a backup, and nothing was restored into it: give a new folder as --store"),
+        ("B", "full", "full is not empty, and nothing was restored into it: give a new folder as --store"),
+        ("B", "full/x", "full/x is a file: nothing can be restored into full/x; give a new folder as --store"),
+        ("B", "B/in", "B/in lies within the backup B: give a new folder elsewhere as --store"),
+        ("S", "N", "S is a store and no backup: `gyrofleet backup FOLDER --store S` writes one"),
+        ("B/log", "N", f"B/log is no backup: it holds no backup.json; {tmp_path / 'B'} is one; give a folder that"),
+        ("empty", "N", f"empty is no backup: it holds no backup.json; give a folder that {proposed}"),
+        ("no", "N", f"the backup no is not there: give a folder that {proposed}"),
+        ("Bad", "N", "Bad/backup.json cannot be read: "),
+        ("s3://x/y", "N", "s3:/x/y looks like an address on an object store"),
+    ):
+        done = CliRunner().invoke(main, ["restore", source, "--store", folder])
+        assert done.exit_code == 1
+        assert expected in done.stderr
+        assert not Path("N").exists()
+    Path("B/log/00000001.mcap").unlink()
+    done = CliRunner().invoke(main, ["restore", "B", "--store", "N"])
+    assert "the backup B is incomplete: " in done.stderr
 
 
 @pytest.mark.long
