@@ -9,6 +9,7 @@ import click
 import msgspec
 
 from stream.errors import BadInput, GyrofleetError
+from stream.mistakes import collected, listed
 from stream.roles.config_file import check_config
 from stream.security.pem_text import fault_of_pem
 from stream.security.site_rules import RULES_FILE
@@ -46,9 +47,15 @@ def _station(path: Path) -> str:
     from ingest.station.station import load_station
 
     found = load_station(path)
-    SerialDevices().add(found, found.lines)
-    found.make_instruments(found.make_clock())
-    station_security(path)
+    wrong: list[str] = []
+    with collected(wrong):
+        SerialDevices().add(found, found.lines)
+    with collected(wrong):
+        found.make_instruments(found.make_clock())
+    with collected(wrong):
+        station_security(path)
+    if wrong:
+        raise BadInput(listed(wrong))
     return f"{counted(len(found.instruments), 'instrument')}, {counted(len(found.slots), 'slot')}"
 
 

@@ -4,6 +4,7 @@ The library examines a type when it is first decoded, and two threads that do so
 type is examined once, by one thread.
 """
 
+import datetime as dt
 import threading
 from functools import cache
 from typing import Any, TypeVar, overload
@@ -12,6 +13,7 @@ import msgspec
 
 T = TypeVar("T")
 
+_TOML_TYPES = (dt.datetime, dt.date, dt.time)
 _one_examines = threading.RLock()
 
 
@@ -83,21 +85,21 @@ def decode_msgpack(content: bytes, kind: type[T]) -> T:
 
 
 @overload
-def converted(value: Any, kind: type[T], *, strict: bool = True) -> T: ...
+def converted(value: Any, kind: type[T], *, strict: bool = True, is_toml: bool = False) -> T: ...
 
 
 @overload
-def converted(value: Any, kind: Any, *, strict: bool = True) -> Any: ...
+def converted(value: Any, kind: Any, *, strict: bool = True, is_toml: bool = False) -> Any: ...
 
 
-def converted(value: Any, kind: Any, *, strict: bool = True) -> Any:
-    """Make a `kind` of plain values; a msgspec.ValidationError if they are none.
+def converted(value: Any, kind: Any, *, strict: bool = True, is_toml: bool = False) -> Any:
+    """Make a `kind` of plain values, of which TOML has dates; a msgspec.ValidationError if they are none.
 
     >>> converted({"a": "1"}, dict[str, int], strict=False)
     {'a': 1}
     """
     examine(kind)
-    return msgspec.convert(value, kind, strict=strict)
+    return msgspec.convert(value, kind, strict=strict, builtin_types=_TOML_TYPES if is_toml else (), str_keys=is_toml)
 
 
 def examine(kind: Any) -> None:

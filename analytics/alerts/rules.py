@@ -1,6 +1,7 @@
 """The rules of a site: which conditions are alerts, after how long, and to whom they are reported (TOML)."""
 
 import datetime as dt
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from pkgutil import iter_modules
@@ -17,6 +18,7 @@ from analytics.alerts.webhook_target import WebhookTarget
 from stream.decoding import converted
 from stream.errors import BadInput
 from stream.files.own_files import imported
+from stream.mistakes import collected, listed, mistakes
 from stream.toml_text import decode_toml
 
 ALARM = "alarm"
@@ -94,34 +96,48 @@ def load_rules(path: Path) -> Rules:
         raise BadInput(f"{path}: {error}") from error
     quiet: dict[str, QuietHours] = {}
     targets: dict[str, Target] = {}
+    wrong: list[str] = []
     for name, table in file.targets.items():
-        where = f"{path}: targets.{name}"
+        where = f"targets.{name}"
         hours = table.pop("quiet", None)
-        if hours is not None:
-            quiet[name] = _converted(where, hours, QuietHours)
-            _check_hours(where, quiet[name])
-        kinds: dict[str, type[Target]] = {"email": EmailTarget, "webhook": WebhookTarget}
-        kind = table.pop("kind", None)
-        if not isinstance(kind, str) or kind not in kinds:
-            raise BadInput(f"{where}.kind is {kind!r}; there are {', '.join(kinds)}")
-        targets[name] = _converted(where, table, kinds[kind])
-    rules = tuple(_rule(path, number, table, targets) for number, table in enumerate(file.rules, start=1))
+        with collected(wrong):
+            if hours is not None:
+                quiet[name] = _converted(where, hours, QuietHours)
+                _check_hours(where, quiet[name])
+        with collected(wrong):
+            targets[name] = _target(where, table)
+    made: list[Rule] = []
+    for number, each in enumerate(file.rules, start=1):
+        with collected(wrong):
+            made.append(_rule(number, each, list(file.targets)))
+    if wrong:
+        raise BadInput(f"{path}: {listed(wrong)}")
+    rules = tuple(made)
     names = [rule.name for rule in rules]
     if twice := {name for name in names if names.count(name) > 1}:
         raise BadInput(f"{path}: two rules are named {min(twice)!r}; give each a name of its own")
     return Rules(rules=rules, targets=targets, quiet=quiet)
 
 
-def _rule(path: Path, number: int, table: dict[str, Any], targets: dict[str, Target]) -> Rule:
+def _target(where: str, table: dict[str, Any]) -> Target:
+    kinds: dict[str, type[Target]] = {"email": EmailTarget, "webhook": WebhookTarget}
+    kind = table.pop("kind", None)
+    if not isinstance(kind, str) or kind not in kinds:
+        raise BadInput(f"{where}.kind is {kind!r}; there are {', '.join(kinds)}")
+    found: Target = _converted(where, table, kinds[kind])
+    return found
+
+
+def _rule(number: int, table: dict[str, Any], targets: Sequence[str]) -> Rule:
     kinds = condition_kinds()
     kind = table.pop("kind", None)
-    where = f"{path}: rule {number} ({kind})"
+    where = f"rule {number} ({kind})"
     if not isinstance(kind, str) or kind not in kinds:
-        raise BadInput(f"{path}: rule {number}: kind is {kind!r}; there are {', '.join(sorted(kinds))}")
+        raise BadInput(f"rule {number}: kind is {kind!r}; there are {', '.join(sorted(kinds))}")
     own = {name: table.pop(name) for name in _OWN if name in table}
     condition = _converted(where, {"kind": kind, **table}, kinds[kind])
     rule = _converted(where, {"name": kind, "to": list(targets), **own, "condition": None}, _RuleTable)
-    if unknown := set(rule.to) - targets.keys():
+    if unknown := set(rule.to) - set(targets):
         raise BadInput(f"{where}: to names {min(unknown)!r}; the file has the targets {', '.join(targets) or 'none'}")
     if rule.severity not in {ALARM, WARNING}:
         raise BadInput(f"{where}: severity is {rule.severity!r}; it is {ALARM} or {WARNING}")
@@ -145,7 +161,7 @@ def _converted(where: str, table: dict[str, Any], kind: type[Any]) -> Any:
     try:
         return converted(table, kind)
     except msgspec.ValidationError as error:
-        raise BadInput(f"{where}: {error}") from error
+        raise BadInput(*(f"{where}: {each}" for each in list(mistakes(table, kind)) or [str(error)])) from error
 
 
 def _check_hours(where: str, hours: QuietHours) -> None:

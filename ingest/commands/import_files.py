@@ -9,6 +9,7 @@ import click
 
 from ingest.commands.import_report import LISTED_FILES, report_files
 from stream.errors import BadInput
+from stream.mistakes import near_name
 from stream.security.rights import Role
 from stream.terminal.console import (
     estimates_option,
@@ -168,7 +169,7 @@ def _warn_of_words(procedure: str | None, position: str | None) -> None:
     """Warn of a procedure or position that no characteristic uses: perhaps a typing error."""
     if not procedure and not position:
         return
-    from ingest.procedures.file import near_name, ready_names, ready_text
+    from ingest.procedures.file import ready_names, ready_text
     from ingest.procedures.procedure import load_procedure
 
     if procedure and procedure not in ready_names():

@@ -8,6 +8,7 @@ import click
 
 from stream.duration import duration
 from stream.errors import BadInput
+from stream.mistakes import near_name
 from stream.terminal.command_group import CommandGroup
 from stream.terminal.completion import ListedName
 from stream.terminal.console import notes, print_json, reporting, results
@@ -96,7 +97,6 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 @reporting
 def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Check a procedure, and whether a station can do it."""
-    from ingest.procedures.file import near_name
     from ingest.procedures.plan import SETTINGS
     from ingest.procedures.procedure import load_procedure
     from ingest.station.bench import check_limits

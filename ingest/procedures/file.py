@@ -1,8 +1,6 @@
 """The TOML file of a procedure, with its loops."""
 
-import difflib
 import re
-from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +10,7 @@ import msgspec
 from ingest.procedures.series import Kind
 from stream.errors import BadInput
 from stream.identity import check_name
+from stream.mistakes import near_name
 from stream.toml_text import decode_toml
 
 Value = float | str
@@ -104,14 +103,6 @@ class ProcedureFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     parameters: dict[Name, Parameter] = {}
 
 
-_KINDS: dict[str, type[msgspec.Struct]] = {
-    "step": Item,
-    "series": Series,
-    "parameters": Parameter,
-    **dict.fromkeys(("names", "notes", "prompt"), Names),
-}
-
-
 def ready_names() -> tuple[str, ...]:
     """Names of the procedures that come with gyrofleet."""
     found = [each.name for each in files("ingest").joinpath("procedures").iterdir()]
@@ -161,7 +152,7 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         if "codec can't decode" in str(error):
             raise BadInput(f"{source}: it is not text in UTF-8 ({error}); save it in that encoding") from error
-        raise BadInput(f"{source}: {error}{_near_key(str(error))}{_brackets(str(error))}") from error
+        raise BadInput(f"{source}: {error}{_brackets(str(error))}") from error
     try:
         check_name("procedure", parsed.name)
     except BadInput as error:
@@ -173,23 +164,6 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
         if default == ():
             raise BadInput(f"{where}: an empty list")
     return parsed
-
-
-def near_name(name: str, known: Iterable[str]) -> str:
-    """A question after the known name that `name` may be a mistyping of; empty where there is none."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean {near[0]}?" if near else ""
-
-
-def _near_key(message: str) -> str:
-    """The question after a mistyped key that msgspec does not know, at its place in the file."""
-    found = re.fullmatch(r"Object contains unknown field `([^`]*)`(?: - at `(.*)`)?", message)
-    if found is None:
-        return ""
-    keys = re.findall(r"[a-z_]+", found[2] or "")
-    kind = next((_KINDS[key] for key in reversed(keys) if key in _KINDS), ProcedureFile)
-    known = [field.encode_name for field in msgspec.structs.fields(kind)]
-    return near_name(found[1], known) or f"; there are {', '.join(known)}"
 
 
 def _brackets(message: str) -> str:

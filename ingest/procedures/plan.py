@@ -6,10 +6,11 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from ingest.procedures.file import Item, Names, near_name
+from ingest.procedures.file import Item, Names
 from ingest.procedures.values import Scalar, Variables, bound_value, check_form, number_of, rounds, text_of
 from stream.errors import BadInput
 from stream.events import StepWords
+from stream.mistakes import near_name
 
 # Settings of instruments, with units of measure.
 SETTINGS: Mapping[str, str] = MappingProxyType(

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import msgspec
 
-from ingest.procedures.file import Parameter, ProcedureFile, check_value, near_name, read_procedure
+from ingest.procedures.file import Parameter, ProcedureFile, check_value, read_procedure
 from ingest.procedures.plan import SETTINGS, PlannedStep, Planner, Used
 from ingest.procedures.run_steps import Spent, StationRates, spent_by_part
 from ingest.procedures.values import Scalar, items_of
 from stream.errors import BadInput
+from stream.mistakes import near_name
 
 _MOST_NESTED = 8
 

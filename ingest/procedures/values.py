@@ -5,9 +5,10 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TypeAlias
 
-from ingest.procedures.file import Item, near_name
+from ingest.procedures.file import Item
 from ingest.procedures.series import series
 from stream.errors import BadInput
+from stream.mistakes import near_name
 
 Scalar: TypeAlias = float | int | str
 Variables: TypeAlias = Mapping[str, Scalar | tuple[Scalar, ...]]

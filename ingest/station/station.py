@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zoneinfo import ZoneInfo
 
 import msgspec
@@ -20,8 +20,10 @@ from ingest.station_clock import StationClock
 from stream.decoding import converted
 from stream.errors import BadInput
 from stream.identity import Place, check_name
+from stream.mistakes import collected, listed, mistakes
 from stream.toml_text import decode_toml
 
+Stated = TypeVar("Stated", bound=Standard)
 # JJF and GJB stand on Earth: what lies outside is a slip of the unit
 _RANGES = {
     "latitude_deg": (-90.0, 90.0, ""),
@@ -176,11 +178,14 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
 
     def make_instruments(self, clock: StationClock) -> dict[str, Instrument]:
         """Every instrument by its name, not opened yet."""
-        kinds = instrument_kinds()
-        try:
-            return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
-        except BadInput as error:
-            raise BadInput(f"{self.path}: {error}") from error
+        kinds, found = instrument_kinds(), list[str]()
+        made: dict[str, Instrument] = {}
+        for name, (kind, options) in self.instruments.items():
+            with collected(found):
+                made[name] = kinds[kind](name, options, clock)
+        if found:
+            raise BadInput(f"{self.path}: {listed(found)}")
+        return made
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -221,69 +226,88 @@ def load_station(path: Path) -> Station:
     except OSError as error:
         raise BadInput(f"the station file {path} cannot be read: {error.strerror}; give --station FILE") from error
     try:
-        file = decode_toml(content, _File)
+        tree = decode_toml(content, dict[str, Any])
     except msgspec.MsgspecError as error:
         raise BadInput(f"{path}: {error}") from error
-    for what, name in (("site", file.station.site), ("station", file.station.name)):
-        _check_name(path, what, name)
-    file.station.check(lambda field: f"{path}: station.{field}")
-    _check_clock(path, file.clock)
-    instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
-    _check_resources(path, instruments)
-    standards = {name: _standard(path, name, table, instruments) for name, table in file.standards.items()}
+    found = list(mistakes(tree, _File))
+    wrong = {name for name, kind in _TABLES.items() if name in tree and any(mistakes(tree[name], kind))}
+    # what can be read is checked as well
+    sound = {name: value for name, value in tree.items() if name in _TABLES and name not in wrong}
+    file = converted(_ANYWHERE | sound, _File, is_toml=True)
+    instruments: dict[str, tuple[str, Options]] = {}
+    standards: dict[str, StandardTable] = {}
+    with collected(found):
+        if "station" in sound:
+            _check_place(file.station)
+    with collected(found):
+        _check_clock(file.clock)
+    for name, table in file.instruments.items():
+        with collected(found):
+            instruments[name] = _options(name, table)
+    with collected(found):
+        _check_resources(instruments)
+    for name, table in file.standards.items():
+        with collected(found):
+            standards[name] = _standard(name, table, file.instruments)
     for name, line in file.lines.items():
         if line.baud <= 0:
-            raise BadInput(f"{path}: lines.{name}.baud is {line.baud}; it is more than 0 bit/s, such as 115200")
-    for name, slot in file.slots.items():
-        _check_power(f"{path}: slots.{name}.power is {slot.power!r}", slot.power, instruments)
+            found.append(f"lines.{name}.baud is {line.baud}; it is more than 0 bit/s, such as 115200")
+    settings: dict[str, str] = {}
+    if len(instruments) == len(file.instruments) and "instruments" not in wrong:
+        for name, slot in file.slots.items():
+            with collected(found):
+                _check_power(f"slots.{name}.power is {slot.power!r}", slot.power, instruments)
+        with collected(found):
+            settings = _settings(file.settings, instruments)
+    if found:
+        raise BadInput(f"{path}: {listed(found)}")
     return Station(
         path=path, table=file.station, clock=file.clock, instruments=instruments, standards=standards, buses=file.buses,
-        lines=file.lines, slots=file.slots, settings=_settings(path, file.settings, instruments),
+        lines=file.lines, slots=file.slots, settings=settings,
     )  # fmt: skip
 
 
-def _check_name(path: Path, what: str, name: str) -> None:
-    try:
+_TABLES = {field.encode_name: field.type for field in msgspec.structs.fields(_File)}
+_ANYWHERE = {"station": {"site": "site", "name": "station"}}
+
+
+def _check_place(station: StationTable) -> None:
+    for what, name in (("site", station.site), ("station", station.name)):
         check_name(what, name)
-    except BadInput as error:
-        raise BadInput(f"{path}: {error}") from error
+    station.check(lambda field: f"station.{field}")
 
 
-def _check_clock(path: Path, clock: ClockTable) -> None:
+def _check_clock(clock: ClockTable) -> None:
     if not 0.0 < clock.speed <= 1e6:
-        raise BadInput(f"{path}: clock.speed is {clock.speed:g}; it is more than 0 and at most 1e6 times real time")
+        raise BadInput(f"clock.speed is {clock.speed:g}; it is more than 0 and at most 1e6 times real time")
     if clock.speed != 1.0 and (clock.start_ns is None or clock.origin_s is None):
         raise BadInput(
-            f"{path}: clock.speed is {clock.speed:g} without clock.start_ns and clock.origin_s: the clocks of two "
+            f"clock.speed is {clock.speed:g} without clock.start_ns and clock.origin_s: the clocks of two "
             f"processes would not agree; a real station has no [clock]"
         )
 
 
-def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options]:
-    _check_name(path, "instrument", name)
+def _options(name: str, table: dict[str, Any]) -> tuple[str, Options]:
+    check_name("instrument", name)
     kinds = instrument_kinds()
     kind = table.get("kind")
     if not isinstance(kind, str) or kind not in kinds:
         known = ", ".join(sorted(kinds))
-        raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
+        raise BadInput(f"instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
     rest = _plain(table)
     del rest["kind"]
-    try:
-        options = converted(rest, kinds[kind].options_type)
-        options.check()
-    except (msgspec.ValidationError, ValueError, BadInput) as error:
-        raise BadInput(f"{path}: instruments.{name} (a {kind}): {error}") from error
+    options: Options = _checked(f"instruments.{name} (a {kind})", rest, kinds[kind].options_type)
     if not 0.0 < options.sample_interval_s < float("inf"):
         raise BadInput(
-            f"{path}: instruments.{name}.sample_interval_s is {options.sample_interval_s:g}; it is read every so many "
+            f"instruments.{name}.sample_interval_s is {options.sample_interval_s:g}; it is read every so many "
             f"seconds, more than 0"
         )
     if isinstance(options, ScpiOptions) and (trouble := resource_trouble(options.resource)) is not None:
-        raise BadInput(f"{path}: instruments.{name}.resource is {options.resource!r}: {trouble}")
+        raise BadInput(f"instruments.{name}.resource is {options.resource!r}: {trouble}")
     return kind, options
 
 
-def _check_resources(path: Path, instruments: Mapping[str, tuple[str, Options]]) -> None:
+def _check_resources(instruments: Mapping[str, tuple[str, Options]]) -> None:
     """Refuse two instruments at one address: what is meant for one would be sent to the other."""
     names: dict[str, str] = {}
     for name, (_, options) in instruments.items():
@@ -291,9 +315,21 @@ def _check_resources(path: Path, instruments: Mapping[str, tuple[str, Options]])
             other = names.setdefault(options.resource.upper(), name)
             if other != name:
                 raise BadInput(
-                    f"{path}: instruments.{other} and instruments.{name} have the same resource, {options.resource}: "
+                    f"instruments.{other} and instruments.{name} have the same resource, {options.resource}: "
                     f"commands for one would be sent to the other; give each its own"
                 )
+
+
+def _checked(where: str, table: dict[str, Any], kind: type[Stated]) -> Stated:
+    """A table as what is stated of a standard; BadInput has each of its mistakes."""
+    if wrong := [f"{where}: {each}" for each in mistakes(table, kind)]:
+        raise BadInput(*wrong)
+    try:
+        found = converted(table, kind)
+        found.check()
+    except (msgspec.ValidationError, ValueError, BadInput) as error:
+        raise BadInput(f"{where}: {error}") from error
+    return found
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
@@ -301,16 +337,11 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
     return {key: value.isoformat() if isinstance(value, dt.date) else value for key, value in table.items()}
 
 
-def _standard(path: Path, name: str, table: dict[str, Any], instruments: Mapping[str, object]) -> StandardTable:
-    _check_name(path, "standard", name)
+def _standard(name: str, table: dict[str, Any], instruments: Mapping[str, object]) -> StandardTable:
+    check_name("standard", name)
     if name in instruments:
-        raise BadInput(f"{path}: standards.{name} has the name of an instrument; state its uncertainty there")
-    try:
-        standard = converted(_plain(table), StandardTable)
-        standard.check()
-    except (msgspec.ValidationError, ValueError, BadInput) as error:
-        raise BadInput(f"{path}: standards.{name}: {error}") from error
-    return standard
+        raise BadInput(f"standards.{name} has the name of an instrument; state its uncertainty there")
+    return _checked(f"standards.{name}", _plain(table), StandardTable)
 
 
 def _check_power(found: str, power: str | None, instruments: Mapping[str, tuple[str, Options]]) -> None:
@@ -320,7 +351,7 @@ def _check_power(found: str, power: str | None, instruments: Mapping[str, tuple[
         raise BadInput(f"{found}, a {instruments[power][0]}, which has no output to switch")
 
 
-def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tuple[str, Options]]) -> dict[str, str]:
+def _settings(given: Mapping[str, str], instruments: Mapping[str, tuple[str, Options]]) -> dict[str, str]:
     """Instrument of each setting: as the file says, else the only one that has it."""
     kinds = instrument_kinds()
     able: dict[str, list[str]] = {}
@@ -329,5 +360,5 @@ def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tu
             able.setdefault(what, []).append(name)
     for what, name in given.items():
         if name not in able.get(what, []):
-            raise BadInput(f"{path}: settings.{what} is {name!r}; those that can be set to it: {able.get(what, [])}")
+            raise BadInput(f"settings.{what} is {name!r}; those that can be set to it: {able.get(what, [])}")
     return {what: names[0] for what, names in able.items() if len(names) == 1} | dict(given)

@@ -17,6 +17,7 @@ import click
 import msgspec
 
 from stream.errors import BadInput, BusError, GyrofleetError
+from stream.mistakes import collected, listed
 from stream.security.endpoint import parse_endpoint
 from stream.terminal.option_checks import checks_of
 from stream.toml_text import decode_toml
@@ -78,20 +79,34 @@ def command_settings(path: Path, content: Mapping[str, Any], table: str, command
 
 
 def check_config(path: Path, commands: Mapping[str, click.Command]) -> list[str]:
-    """The tables of a file; BadInput for the first key that is wrong. `commands` are the roles by their tables."""
+    """The tables of a file; BadInput has each key that is wrong. `commands` are the roles by their tables."""
     content = read_config(path)
     common = {key: parameter for command in commands.values() for key, parameter in _options(command)}
+    found: list[str] = []
     for key, value in content.items():
-        if isinstance(value, dict):
-            if key not in commands:
-                _unknown(path, key, key, commands, "a role")
-            command_settings(path, content, key, commands[key])
-            _check_as_role(path, content, key, commands[key])
-        elif key not in common:
-            _unknown(path, key, key, common, "an option of a role")
-        else:
-            _value(path, key, value, common[key])
+        with collected(found):
+            if isinstance(value, dict):
+                _check_table(path, content, key, commands)
+            elif key not in common:
+                _unknown(path, key, key, common, "an option of a role")
+            else:
+                _value(path, key, value, common[key])
+    if found:
+        raise BadInput(f"{path}: {listed(each.removeprefix(f'{path}: ') for each in dict.fromkeys(found))}")
     return [key for key in content if key in commands]
+
+
+def _check_table(path: Path, content: Mapping[str, Any], table: str, commands: Mapping[str, click.Command]) -> None:
+    if table not in commands:
+        _unknown(path, table, table, commands, "a role")
+    found: list[str] = []
+    for key, value in content[table].items():
+        with collected(found):
+            command_settings(path, {table: {key: value}}, table, commands[table])
+    if found:
+        raise BadInput(*found)
+    command_settings(path, content, table, commands[table])
+    _check_as_role(path, content, table, commands[table])
 
 
 def _check_as_role(path: Path, content: Mapping[str, Any], table: str, command: click.Command) -> None:

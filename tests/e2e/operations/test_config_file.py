@@ -123,6 +123,83 @@ def test_every_kind_of_file_is_recognised_and_its_fault_named(kind: str, tmp_pat
     assert name in found["problem"]
 
 
+WRONG_STATION = """
+[station]
+site = "a"
+nmae = "b"
+latitude_deg = "39"
+[clock]
+sped = 1.0
+[instruments.table]
+kind = "rate_table"
+resource = "TCPIP::192.168.1.20::5025::SOCKET"
+timeot_s = 1.0
+sample_interval_s = "1"
+[instruments.chamber]
+kind = "fridge"
+[standards.level]
+calibration_due = "soon"
+[lines.L1]
+port = "/dev/ttyS0"
+baud = 0
+unit = "FOG-1"
+layout = "x.toml"
+[slots.S1]
+power = "table"
+"""
+
+
+WRONG_RULES = """
+[[rules]]
+kind = "disk"
+free_bg = 1
+free_percent = "1"
+[[rules]]
+kind = "disc"
+[targets.A]
+kind = "fax"
+"""
+
+
+def test_all_mistakes_of_a_station_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text(WRONG_STATION)
+    code, (found,) = check(path)
+    assert code == 1
+    for each in (
+        "station.toml: 10 mistakes: ",
+        "unknown field `nmae` - at `$.station`, did you mean name?",
+        "missing required field `name` - at `$.station`",
+        "Expected `float`, got `str` - at `$.station.latitude_deg`",
+        "unknown field `sped` - at `$.clock`, did you mean speed?",
+        "instruments.table (a rate_table): Object contains unknown field `timeot_s`, did you mean timeout_s?",
+        "instruments.table (a rate_table): Expected `float`, got `str` - at `$.sample_interval_s`",
+        "instruments.chamber.kind is 'fridge'; gyrofleet knows ",
+        "standards.level: calibration_due is 'soon'",
+        "lines.L1.baud is 0; ",
+    ):
+        assert each in found["problem"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("roles.toml", "stores = 1\n[record]\nrotate_mb = 0\nlisten = 3\n[serv]\n",
+         ("4 mistakes: ", "stores is not", "record.rotate_mb: 0", "record.listen is 3", "serv is not a role")),
+        ("alerts.toml", WRONG_RULES,
+         ("4 mistakes: ", "unknown field `free_bg`, did you mean free_gb?", "$.free_percent", "'disc'", "'fax'")),
+        ("p.toml", 'name = 1\n[[step]]\nnmae = "a"\n', ("3 mistakes: ", "$.name", "`names`", "$.step[0]", "`nmae`")),
+    ],
+)  # fmt: skip
+def test_all_mistakes_of_a_file_are_named(name: str, content: str, expected: tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(content)
+    code, (found,) = check(path, "--as", {"r": "settings", "a": "alerts", "p": "procedure"}[name[0]])
+    assert code == 1
+    for each in expected:
+        assert each in found["problem"], found["problem"]
+
+
 def test_two_users_of_a_serial_device_are_named(tmp_path: Path) -> None:
     (tmp_path / "tty").touch()
     (tmp_path / "by-id").symlink_to(tmp_path / "tty")
