@@ -205,6 +205,18 @@ def _standards(row: Row) -> list[str]:
     return [each.strip() for each in row["standard"].split(",")]
 
 
+def _check_not_excluded(catalog: Catalog, kind: str, name: str) -> None:
+    """NotFound that says why nothing counts of a unit or run that people have excluded."""
+    sql = "select run, reason, by_whom from exclusions where $name = case $kind when 'unit' then unit else run end"
+    found = catalog.rows(sql, {"name": name, "kind": kind})
+    if found:
+        reasons = dict.fromkeys(f"{run} ({reason}; {by})" for run, reason, by in found)
+        raise NotFound(
+            f"{kind} {name!r} is excluded from evaluation: {', '.join(list(reasons)[:4])}; `gyrofleet runs include RUN` "
+            "takes a run in again"
+        )
+
+
 def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
     if not names:
         return
@@ -214,6 +226,8 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
         known |= {name for (name,) in catalog.rows(checked)}
     for name in names:
         if name not in known:
+            if kind in {"unit", "run"}:
+                _check_not_excluded(catalog, kind, name)
             if kind in {"unit", "run"} and catalog.rows(f"from signals where {kind} = $name limit 1", {"name": name}):
                 raise NotFound(
                     f"{kind} {name!r} has samples, but no completed step says what was measured: import its files "

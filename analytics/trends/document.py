@@ -32,6 +32,7 @@ def document(trend: Trend) -> dict[str, Any]:
         "without_interval": without_interval(series),
         "undated_left_out": series.undated,
         "undated_runs": list(series.undated_runs),
+        "excluded": list(series.excluded),
         "dated": series.dated,
         "by": trend.by,
         "charts": [

@@ -371,6 +371,9 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         yield words("undated")
     if series.undated:
         yield words("undated_left_out", n=series.undated, runs=listed(list(series.undated_runs)))
+    if series.excluded:
+        more = [f"+{len(series.excluded) - _MOST_NAMED}"] if len(series.excluded) > _MOST_NAMED else []
+        yield words("excluded", n=len(series.excluded), runs=listed([*series.excluded[:_MOST_NAMED], *more]))
     if series.others:
         kinds = [str(each) for each in series.others]
         more = [f"{len(kinds) - 6} more"] if len(kinds) > 6 else []

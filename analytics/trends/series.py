@@ -62,6 +62,7 @@ class MetricSeries:
     undated_runs: tuple[str, ...] = ()  # runs without a date, whose values are left out
     undated: int = 0  # how many values that are
     remarks: list[str] | None = None  # of each value, empty where it has none
+    excluded: tuple[str, ...] = ()  # runs of these units that people have excluded, each with its unit and why
 
     @property
     def header(self) -> MetricHeader | None:
@@ -132,6 +133,7 @@ class Choice(NamedTuple):
     since_ns: int | None = None
 
 
+_EXCLUDED = "select run, unit, reason from exclusions order by run, unit"
 _LIMITED = "select distinct parameters from specification_limits where metric = $metric"
 
 
@@ -146,6 +148,7 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     with evaluated(catalog, [metric]):
         found = rows_of(catalog, METRIC_VALUES, {"metric": metric, "unit": ""})
         limits = rows_of(catalog, _LIMITED, {"metric": metric})
+        excluded = rows_of(catalog, _EXCLUDED)
     rows = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found]
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
@@ -155,7 +158,9 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     if not valued:
         reasons = Counter(row["reason"] for row in kept)
         raise NotFound(f"{metric}: no unit has a value; of {len(kept)} most say: {reasons.most_common(1)[0][0]}")
-    return _series(metric, valued, variant, others, len(kept) - len(valued))
+    series = _series(metric, valued, variant, others, len(kept) - len(valued))
+    of_units = [row for row in excluded if row["unit"] in (choice.units or {each["unit"] for each in rows})]
+    return replace(series, excluded=tuple(f"{row['run']} ({row['unit']}: {row['reason']})" for row in of_units))
 
 
 def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:

@@ -32,5 +32,9 @@ select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.
       || case when o.rate_command <> 0 then ', at a rate' else '' end
   end as reason
 from output o
-anti join rested r on o.is_output and r.unit = o.unit and r.run = o.run and r."index" = o."index";
+anti join rested r on o.is_output and r.unit = o.unit and r.run = o.run and r."index" = o."index"
+union all by name
+select s.unit, s.run, s."index", s."procedure", s.step, s.position,
+  'run ' || s.run || ' is excluded from evaluation: ' || s.excluded as reason
+from steps s where s.excluded is not null;
 comment on view unused_steps is 'steps that no characteristic rests on, with the reason: what was recorded and is not judged';

@@ -57,6 +57,12 @@ def test_an_excluded_run_is_out_of_every_evaluation_until_it_is_included(run_com
     assert longest["run"] == "good"
     named = ("--run", "kicked", "--store", "s", "--json")
     assert run_command("allan", "--unit", "U", "--signal", "rate", *named, cwd=tmp_path).json["run"] == "kicked"
+    # each door names what it leaves out
+    trend = run_command("trend", "bias", "--store", "s", "--json", cwd=tmp_path).json
+    assert (trend["excluded"], trend["values"]) == (["kicked (U: the table was kicked)"], 1)
+    asked = run_command("metrics", "--run", "kicked", "--store", "s", cwd=tmp_path)
+    assert "run 'kicked' is excluded from evaluation: kicked (the table was kicked; Li Wei)" in asked.err
+    assert "run kicked is excluded from evaluation" in run_command("metrics", "--store", "s", cwd=tmp_path).err
     # the record stays, and who excluded it, when and why
     asked = ("sql", "select run, unit, reason, by_whom from exclusions", "--store", "s", "--json")
     rows = run_command(*asked, cwd=tmp_path)
