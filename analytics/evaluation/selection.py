@@ -212,8 +212,8 @@ def _check_not_excluded(catalog: Catalog, kind: str, name: str) -> None:
     if found:
         reasons = dict.fromkeys(f"{run} ({reason}; {by})" for run, reason, by in found)
         raise NotFound(
-            f"{kind} {name!r} is excluded from evaluation: {', '.join(list(reasons)[:4])}; `gyrofleet runs include RUN` "
-            "takes a run in again"
+            f"{kind} {name!r} is excluded from evaluation: {', '.join(list(reasons)[:4])}; "
+            "`gyrofleet runs include RUN` takes a run in again"
         )
 
 

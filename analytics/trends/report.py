@@ -342,9 +342,16 @@ def _without_interval(series: MetricSeries) -> Iterator[Words]:
         yield words("without_interval", n=n, of=series.value.size, has=has, count=count, parts=every)
 
 
+def _excluded(series: MetricSeries) -> Iterator[Words]:
+    if series.excluded:
+        more = [f"+{len(series.excluded) - _MOST_NAMED}"] if len(series.excluded) > _MOST_NAMED else []
+        yield words("excluded", n=len(series.excluded), runs=listed([*series.excluded[:_MOST_NAMED], *more]))
+
+
 def _left_out(trend: Trend) -> Iterator[Words]:
     series = trend.series
     yield from _without_interval(series)
+    yield from _excluded(series)
     refused = [(chart.name, chart.limits) for chart in trend.charts if isinstance(chart.limits, NotComputed)]
     by_reason: dict[Words, list[str]] = {}
     for name, found in refused:
@@ -371,9 +378,6 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         yield words("undated")
     if series.undated:
         yield words("undated_left_out", n=series.undated, runs=listed(list(series.undated_runs)))
-    if series.excluded:
-        more = [f"+{len(series.excluded) - _MOST_NAMED}"] if len(series.excluded) > _MOST_NAMED else []
-        yield words("excluded", n=len(series.excluded), runs=listed([*series.excluded[:_MOST_NAMED], *more]))
     if series.others:
         kinds = [str(each) for each in series.others]
         more = [f"{len(kinds) - 6} more"] if len(kinds) > 6 else []
