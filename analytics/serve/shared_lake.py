@@ -46,6 +46,7 @@ SERVED_OF = {
 # documents that all of them are made of
 SERVED_KINDS = (
     "RunStarted", "RunResumed", "RunEnded", "StationStated", "UnitMounted", "UnitReleased", "VerdictGiven",
+    "ExclusionEntered",
 )  # fmt: skip
 
 Shared = TypeVar("Shared", bound=Closing)

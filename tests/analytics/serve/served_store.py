@@ -45,6 +45,7 @@ def make_store(folder: Path, run_command: Callable[..., Any]) -> Path:
     for words in (
         ("import", "all.parquet", "--start", START),
         ("limits", "add", "fog.toml", "--reason", "first", "--by", "Li"),
+        ("runs", "exclude", HOSTILE[3], "--reason", "<b>kicked</b>", "--by", "Li"),
     ):
         done = run_command(*words, "--store", "S", cwd=folder)
         assert done.code == 0, (words, done.out, done.err)

@@ -4,6 +4,7 @@ import re
 import time
 from collections.abc import Callable
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 import pytest
@@ -105,6 +106,15 @@ def test_a_run_has_its_steps_units_and_course(api: httpx.Client) -> None:
 def test_the_note_on_an_import_has_the_time_of_the_import(api: httpx.Client) -> None:
     note = next(each for each in got(api, "/api/runs/run-1/course")["notes"] if each["author"] == "import")
     assert abs(time.time_ns() - note["t_ns"]) < 3600 * 10**9, "and not that of the last sample"
+
+
+def test_a_run_says_which_of_its_units_are_excluded_and_why(api: httpx.Client) -> None:
+    name = quote(HOSTILE[3], safe="")
+    (unit,) = got(api, f"/api/runs/{name}")["units"]
+    assert unit["excluded"] == "<b>kicked</b> (Li)"
+    page = api.get(f"/runs/{name}").text
+    assert "excluded from evaluation: &lt;b&gt;kicked&lt;/b&gt; (Li)" in page
+    assert all(each["excluded"] is None for each in got(api, "/api/runs/run-1")["units"])
 
 
 def test_runs_come_in_pages_without_loss(api: httpx.Client) -> None:

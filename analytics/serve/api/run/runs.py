@@ -57,10 +57,12 @@ with named as (
 select coalesce(r.unit, u.unit) as unit, u.product, u.lot, u.slot, u.fixture, coalesce(r.signals, []) as signals,
   coalesce(r.samples, 0) as samples, r.t_last_ns, r.arrival_last_ns, g.verdict, d.early,
   exists(from named) and coalesce(r.unit, u.unit) not in (from named) as is_instrument,
-  e.verdict as released, e.t_ns as released_ns, e.planned_s - e.recorded_s as saved_s
+  e.verdict as released, e.t_ns as released_ns, e.planned_s - e.recorded_s as saved_s,
+  x.reason || ' (' || x.by_whom || ')' as excluded
 from recorded r full join (select * from internal.served_units where run = $run) u using (unit)
 left join given g using (unit) left join decided d using (unit)
 left join (select * from internal.served_releases where run = $run) e using (unit)
+left join (select unit, reason, by_whom from exclusions where run = $run) x using (unit)
 where coalesce(r.unit, u.unit) > $after order by 1 limit $rows
 """
 _COUNTS = f"""
@@ -163,6 +165,8 @@ class StepRow(msgspec.Struct, frozen=True, kw_only=True):
 class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
     """A unit in a run: its verdict so far, the outcomes of its early decisions, and its release before the end.
 
+    `excluded` is why it is excluded from evaluation, and by whom.
+
     What delivers samples and is none of the units that the run names `is_instrument` of the station.
     """
 
@@ -181,6 +185,7 @@ class RunUnit(msgspec.Struct, frozen=True, kw_only=True):
     released: str | None
     released_ns: int | None
     saved_s: float | None
+    excluded: str | None = None
 
 
 class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
