@@ -1,14 +1,11 @@
 """The commands `gyrofleet runs`: what was measured, and what of it is excluded from evaluation."""
 
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import click
-import msgspec
 
 from storage.commands.stored_names import RUN, UNIT
-from stream.errors import BadInput, NotFound
 from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.terminal.command_group import CommandGroup
@@ -16,11 +13,6 @@ from stream.terminal.console import counted, notes, print_json, reporting, resul
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
 
-if TYPE_CHECKING:
-    from storage.store import Store
-    from stream.events import ExclusionEntered
-
-_MOST_TEXT = 1000
 _RUNS = """
 with tested as (
   select run, unit from steps union select run, unit from units
@@ -32,32 +24,11 @@ select r.run, r.started, r.duration_s, r.outcome,
   (select coalesce(list(x.unit order by x.unit), []) from excluded x where x.run = r.run) as excluded
 from runs r order by r.started, r.run
 """
-_UNITS = """
-with tested as (
-  select run, unit from steps union select run, unit from units
-)
-select t.unit, x.reason from tested t left join exclusions x on x.run = t.run and x.unit = t.unit
-where t.run = $run order by t.unit
-"""
-_CHECK = """
-select c.unit, c.run, (
-    select arg_max(x.document->>'$.action', x.t_ns) from events x
-    where x.kind = 'ExclusionEntered' and x.document->>'$.check' = c.uid) as action
-from events c where c.kind = 'CheckEntered' and c.uid = $uid
-"""
 
 _units_option = click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit of it; repeatable.")
 _check_option = click.option("--check", metavar="UID", help="A check entered by hand, in place of a run.")
 _reason_option = click.option("--reason", required=True, help="Why; it stands in the log with your name.")
 _by_option = click.option("--by", help="Who; by default the user of the system, with --security whom it names.")
-
-
-class _Found(NamedTuple):
-    """Units that an action changes, those that are as it wants them, and its documents without who, why and when."""
-
-    changed: list[str]
-    others: list[str]
-    documents: "list[ExclusionEntered]"
 
 
 @click.group("runs", cls=CommandGroup)
@@ -132,39 +103,27 @@ def _enter(
     wanted: str, run: str | None, folder: Path, units: tuple[str, ...], check: str | None, reason: str, by: str | None,
     *, as_json: bool,
 ) -> None:  # fmt: skip
-    from storage.recording.client import record_documents
+    from storage.recording.exclusions import enter_exclusion
     from storage.store import Store, writer_endpoint
     from stream.events import ExclusionAction
-    from stream.identity import Place
 
-    reason = reason.strip()
-    if not reason or len(reason) > _MOST_TEXT:
-        raise BadInput(f"--reason has {len(reason)} characters; say why, in 1 to {_MOST_TEXT}")
-    if (run is None) is (check is None) or (check is not None and units):
-        raise BadInput("name a RUN, of which --unit chooses units, or the --check of one that was entered by hand")
-    store = Store.open(folder)
-    found = _run_targets(store, run, units, wanted) if check is None else _check_target(store, check, wanted)
-    actor, now_ns = acting(by), time.time_ns()
-    documents = [
-        msgspec.structs.replace(each, t_ns=now_ns, action=ExclusionAction(wanted), by=actor.name,
-                                identity=actor.identity, reason=reason)
-        for each in found.documents
-    ]  # fmt: skip
+    store, actor = Store.open(folder), acting(by)
     is_in_lake = writer_endpoint(store.folder) is None
-    if documents:
-        record_documents(store, documents, role="gyrofleet runs", place=Place("local", "entered"), builds_lake=True)
+    done = enter_exclusion(
+        store, ExclusionAction(wanted), reason, actor, role="gyrofleet runs", run=run, units=units, check=check
+    )
     if as_json:
-        print_json({"store": str(folder), "run": run, "check": check, "action": wanted, "units": found.changed,
-                    "already": found.others, "by": actor.name, "reason": reason,
-                    "uids": [each.uid for each in documents], "in_lake": is_in_lake})  # fmt: skip
+        print_json({"store": str(folder), "run": run, "check": check, "action": wanted, "units": done.changed,
+                    "already": done.others, "by": actor.name, "reason": reason.strip(),
+                    "uids": [each.uid for each in done.documents], "in_lake": is_in_lake})  # fmt: skip
         return
-    if found.others:
-        results().print(f"{wanted} already: {', '.join(found.others)}", soft_wrap=True)
+    if done.others:
+        results().print(f"{wanted} already: {', '.join(done.others)}", soft_wrap=True)
     left_out = "metrics, verdicts, trends, diagnoses and certificates leave it out from now on"
-    what = f"check {check}, unit {', '.join(found.changed)}" if run is None else f"run {run}, {_listed(found.changed)}"
+    what = f"check {check}, unit {', '.join(done.changed)}" if run is None else f"run {run}, {_listed(done.changed)}"
     text = f"excluded {what}: {left_out}" if wanted == "excluded" else f"included {what} again"
-    results().print(text if found.changed else "nothing to change", soft_wrap=True)
-    if documents and not is_in_lake:
+    results().print(text if done.changed else "nothing to change", soft_wrap=True)
+    if done.documents and not is_in_lake:
         sees = "SQL sees it with the recorder's next segment."
         notes().print(f"The recorder that writes the store has it on disk; {sees}")
 
@@ -172,51 +131,3 @@ def _enter(
 def _listed(units: list[str]) -> str:
     more = f" and {len(units) - 8} more" if len(units) > 8 else ""
     return f"{counted(len(units), 'unit')} ({', '.join(units[:8])}{more})"
-
-
-def _check_target(store: "Store", check: str, wanted: str) -> _Found:
-    """A check entered by hand; NotFound where there is none of this uid."""
-    from storage.sql.catalog import Catalog
-    from stream.events import ExclusionAction, ExclusionEntered
-
-    with Catalog(store, live=True) as catalog:
-        rows = catalog.user_reader(_CHECK, {"uid": check}).read_all().to_pylist()
-    if not rows:
-        raise NotFound(
-            f"no check {check!r} was entered into {store.folder}; `gyrofleet audit --unit UNIT --json` has uids"
-        )
-    (row,) = rows
-    unit = str(row["unit"])
-    if (row["action"] == "excluded") is (wanted == "excluded"):
-        return _Found([], [unit], [])
-    document = ExclusionEntered(
-        run=row["run"] or "", t_ns=0, action=ExclusionAction(wanted), by="", reason="", unit=unit, check=check
-    )
-    return _Found([unit], [], [document])
-
-
-def _run_targets(store: "Store", run: str | None, units: tuple[str, ...], wanted: str) -> _Found:
-    """Units of a run that an action changes, and those that are as it wants them; NotFound where there is none."""
-    from storage.sql.catalog import Catalog
-    from stream.events import ExclusionAction, ExclusionEntered
-
-    assert run is not None
-    with Catalog(store, live=True) as catalog:
-        rows = catalog.user_reader(_UNITS, {"run": run}).read_all().to_pylist()
-        tested = {str(row["unit"]): row["reason"] is not None for row in rows}
-        if not tested:
-            last = catalog.user_reader("select run from runs order by recorded desc limit 8").read_all()
-            raise NotFound(
-                f"run {run!r} with tested units is not in {store.folder}; the last runs are "
-                f"{', '.join(last['run'].to_pylist()) or 'none'}; `gyrofleet runs list` has all"
-            )
-    if strangers := sorted(set(units) - tested.keys()):
-        raise NotFound(f"run {run!r} tested no unit {', '.join(strangers)}; it tested {', '.join(sorted(tested)[:20])}")
-    chosen = sorted(set(units)) if units else sorted(tested)
-    changed = [unit for unit in chosen if tested[unit] is not (wanted == "excluded")]
-    others = [unit for unit in chosen if unit not in changed]
-    # a run as a whole also with units that are tested in it later
-    named: list[str | None] = [*changed] if units or others else [None]
-    action = ExclusionAction(wanted)
-    documents = [ExclusionEntered(run=run, t_ns=0, action=action, by="", reason="", unit=unit) for unit in named]
-    return _Found(changed, others, documents)

@@ -12,7 +12,7 @@ from analytics.serve.api.endpoint import route
 from analytics.serve.api.openapi import openapi_document
 from analytics.serve.api.operation import Operation
 from analytics.serve.api.query import allan, grafana, signals, sql
-from analytics.serve.api.run import run_allan, run_commands, run_course, runs
+from analytics.serve.api.run import exclusions, run_allan, run_commands, run_course, runs
 from analytics.serve.api.trend import trend_pictures, trends
 from analytics.serve.api.unit import certificates, diagnosis, unit_pictures, units
 from analytics.serve.doors.admission import admitted
@@ -66,6 +66,7 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     jobs.cancel_job,
     jobs.verify_store,
     notes.add_note,
+    exclusions.enter,
     grafana.grafana,
     grafana.grafana_metrics,
     grafana.grafana_options,

@@ -117,6 +117,22 @@ def test_a_run_says_which_of_its_units_are_excluded_and_why(api: httpx.Client) -
     assert all(each["excluded"] is None for each in got(api, "/api/runs/run-1")["units"])
 
 
+def test_an_approver_excludes_a_run_over_http_and_a_viewer_does_not(api: httpx.Client, served: Served) -> None:
+    asked = {"run": HOSTILE[2], "reason": "wrong axis", "action": "excluded"}
+    for role, code in (("engineer", 403), ("approver", 200)):
+        headers = {"Authorization": f"Bearer {served.tokens[role]}"}
+        answer = httpx.post(f"{served.url}/api/exclusions", json=asked, headers=headers)
+        assert answer.status_code == code, answer.text
+    (document,) = answer.json()["documents"]
+    assert (document["by"], document["identity"]) == ("approver-program", "user:approver-program")
+    (unit,) = got(api, f"/api/runs/{quote(HOSTILE[2], safe='')}")["units"]
+    assert unit["excluded"] == "wrong axis (approver-program)"
+    again = api.post("/api/exclusions", json=asked | {"action": "included"}).json()
+    assert (again["units"], again["already"]) == ([HOSTILE[2]], [])
+    assert api.post("/api/exclusions", json=asked | {"check": "x"}).status_code == 400
+    assert api.post("/api/exclusions", json=asked | {"run": "nix"}).status_code == 404
+
+
 def test_runs_come_in_pages_without_loss(api: httpx.Client) -> None:
     whole = [each["run"] for each in got(api, "/api/runs")["runs"]]
     assert sorted(whole) == sorted([*HOSTILE, "run-1", "run-2"])

@@ -23,6 +23,7 @@ CHANGES = [
     ("/api/models/FOG-0001/rollback", {"reason": "planted"}),
     ("/api/jobs/x/cancel", {}),
     ("/api/alerts/x/acknowledge", {"reason": "planted"}),
+    ("/api/exclusions", {"run": "run-1", "action": "excluded", "reason": "planted"}),
     ("/api/runs/run-1/commands", {"action": "abort", "reason": "planted"}),
     ("/api/proposals/x/approve", {}),
     ("/api/proposals/x/reject", {"reason": "planted"}),

@@ -102,7 +102,7 @@ def test_a_check_of_another_unit_is_excluded_alone(run_command: Run, tmp_path: P
     uid = run_command(*entered, "--json", cwd=tmp_path).json["uid"]
     assert _verdicts(run_command, tmp_path)["U"][0] == "FAIL"
     both = run_command("runs", "exclude", "a", "--check", uid, "--reason", "x", "--store", "s", cwd=tmp_path)
-    assert (both.code, "name a RUN" in both.err) == (1, True)
+    assert (both.code, "name a run, of which units" in both.err) == (1, True)
     excluded = ("--check", uid, "--reason", "it was of U2", "--store", "s")
     assert run_command("runs", "exclude", *excluded, cwd=tmp_path).code == 0
     assert _verdicts(run_command, tmp_path)["U"] == ("PASS", "PASS")
