@@ -1,4 +1,4 @@
-"""Raw samples of records that are reduced from means of seconds: a look for values that are far too frequent."""
+"""Raw samples of records that are reduced from means of seconds: a look for values far too frequent, or repeated."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -83,14 +83,18 @@ class RawLooks:
         is_coarse = np.unique(hi[:_FEW]).size < FEWEST_LEVELS
         if lo.min() == hi.max() or not (ends or is_coarse or lo.min() <= 0.0 <= hi.max()):
             return np.empty(0)
-        if self._of is not signal:
-            self._of = signal
-            self._t_ns, self._values = self._beginnings(signal)
-        own = self._values[(self._t_ns >= window[0]) & (self._t_ns <= window[1])]
+        own = self.beginnings(signal, window)
         look = _thinned(own)
         if _may_be_piled(look) or (look.size and any(_is_no_level(end, look) for end in ends)):
             return self._spread(signal, window)
         return own if is_coarse else np.empty(0)
+
+    def beginnings(self, signal: EvaluatedSignal, window: tuple[int, int]) -> FloatArray:
+        """Samples of a window of a signal at its beginning, and at that of row groups in it, in their order."""
+        if self._of is not signal:
+            self._of = signal
+            self._t_ns, self._values = self._beginnings(signal)
+        return self._values[(self._t_ns >= window[0]) & (self._t_ns <= window[1])]
 
     def _beginnings(self, signal: EvaluatedSignal) -> tuple[IntArray, FloatArray]:
         times, values = [np.empty(0, np.int64)], [np.empty(0)]

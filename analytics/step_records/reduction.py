@@ -30,7 +30,8 @@ COLUMNS = pa.schema({
     "n": _WHOLE, "expected": _WHOLE, "whole_seconds": _WHOLE,
     "mean": _REAL, "sd": _REAL, "sd_freedom": _REAL, "standard_uncertainty": _REAL, "freedom": _REAL,
     "n_effective": _REAL, "white": _REAL, "flicker": _REAL, "walk": _REAL, "still": _REAL,
-    "outliers": _WHOLE, "outlier_excess": _REAL, "piled": _REAL, "piled_at": _REAL, **_AVERAGES, "reason": _TEXT,
+    "outliers": _WHOLE, "outlier_excess": _REAL, "piled": _REAL, "piled_at": _REAL, "repeated": _REAL,
+    **_AVERAGES, "reason": _TEXT,
 })  # fmt: skip
 
 T = TypeVar("T")
@@ -200,6 +201,7 @@ def _reduced(signal: EvaluatedSignal, blocks: _Blocks | None, looks: RawLooks | 
         found = series_statistics(
             start_ns, n, mean, m2, base_ns=base_ns, samples_per_block=per_block, window_ns=begins, step=signal.step,
             samples=mean if looks is None else looks.samples(signal, window, lo, hi),
+            look=None if looks is None else looks.beginnings(signal, window),
         )  # fmt: skip
         yield row | _numbers(found)
 

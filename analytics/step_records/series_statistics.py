@@ -17,6 +17,7 @@ from analytics.step_records.scatter import Average, scatter_freedom, scatter_of_
 from stream.batch import FloatArray, IntArray
 from stream.defects.coarse_resolution import rounding_bound
 from stream.defects.outliers import count_outliers, piled_share
+from stream.defects.repeats import repeated_share
 
 AVERAGES_S = (1.0, 10.0, 100.0)
 _ROUNDING = 1e-14  # relative; a hundred times that of a number
@@ -45,6 +46,7 @@ class SeriesStatistics(NamedTuple):
     outlier_excess: float  # by how much they raise the noise, relative
     piled: float  # share of the samples at one or two values that hold far more than the others, and the first of these
     piled_at: float
+    repeated: float  # share of the samples that repeat the one before, beyond what resolution and noise explain
     averages: tuple[Average, ...]  # of `AVERAGES_S`
 
 
@@ -59,6 +61,7 @@ def samples_statistics(t_ns: IntArray, values: FloatArray, window_ns: tuple[int,
 def series_statistics(
     start_ns: IntArray, counts: IntArray, means: FloatArray, squares: FloatArray, *, base_ns: int,
     samples_per_block: float, window_ns: tuple[int, int], step: float = 0.0, samples: FloatArray | None = None,
+    look: FloatArray | None = None,
 ) -> SeriesStatistics:  # fmt: skip
     """Reduce the blocks of a stretch.
 
@@ -78,7 +81,8 @@ def series_statistics(
     differ. With fewer than 8 blocks it is sd/sqrt(n).
 
     `samples`: raw ones to look at for values that are too frequent, and for a coarse resolution; by default the means
-    where each block is one sample, else none.
+    where each block is one sample, else none. `look`: consecutive raw samples to look at for those that repeat the one
+    before; by default `samples`.
 
     For a signal constant at one count the quantisation, step/sqrt(12), is added where sd < step; for noise that is
     rounded to few values `rounding_bound` as the half width of an arcsine distribution, bound/sqrt(2), if that is more.
@@ -124,6 +128,7 @@ def series_statistics(
     samples = np.ldexp(samples, -exponent) if samples is not None else means[: means.size * (n == means.size)]
     u_squared += max(step * step / 12 if sd < step else 0.0, rounding_bound(samples) ** 2 / 2)
     far = count_outliers([means])
+    repeated = repeated_share(samples if look is None else look)
     piled, piled_at = piled_share(samples) if samples.size and still < 1.0 else (0.0, math.nan)
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
@@ -133,6 +138,7 @@ def series_statistics(
         white=_scaled(float(parts[0]), 2 * exponent), flicker=_scaled(float(parts[1]), 2 * exponent),
         walk=_scaled(float(parts[2]), 2 * exponent), still=0.0 if sd < step and is_only_coarse else still,
         outliers=far.count, outlier_excess=far.raise_n_by, piled=piled, piled_at=_scaled(piled_at, exponent),
+        repeated=0.0 if piled else repeated,
         averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )  # fmt: skip
 

@@ -77,7 +77,7 @@ select
   end as input_rate_source,
   r.unit_of_measure,
   r.n, r.expected, r.whole_seconds, r.mean, r.sd, r.sd_freedom, r.standard_uncertainty, r.freedom, r.n_effective, r.white, r.flicker, r.walk, r.still,
-  r.outliers, r.outlier_excess, r.piled, r.piled_at,
+  r.outliers, r.outlier_excess, r.piled, r.piled_at, r.repeated,
   r.n_1s, r.sd_1s, r.freedom_1s, r.n_10s, r.sd_10s, r.freedom_10s, r.n_100s, r.sd_100s, r.freedom_100s,
   r.reason
 from step s

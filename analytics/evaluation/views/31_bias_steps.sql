@@ -2,7 +2,7 @@
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
 -- `remark` flags what is shorter than the clauses ask for, counted by the samples that are there, samples that are no noise, and an
 -- attitude that does not say which axis it means.
-create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, measure) as
+create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, repeated, measure) as
   nullif(concat_ws('; ',
     case when n > 1 and sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too '
         || 'coarse to show noise'
@@ -10,6 +10,8 @@ create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess
         || 'was frozen, or its resolution is too coarse to show noise'
       when piled > 0 then if(n > 1000000, 'about ', '') || round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
         || printf('%.5g', piled_at) || ' ' || measure || ': clipped at an end of the range, or lost samples written as it' end,
+    case when repeated > 0 then format('{:.2g} % of the samples repeat the one before, which resolution and noise do not explain: '
+      || 'as of a logger that is faster than the gyro, or of lost samples written as the last one', 100 * repeated) end,
     case when outliers_move_mean(outliers, outlier_excess) then format('isolated outliers ({}) raise the noise {:.3g} times '
         || 'and may move the mean by more than the noise does: it has no interval', outliers, 1 + outlier_excess)
       when outliers > 0 and outlier_excess >= 0.01 then format('isolated outliers ({}) raise the noise by {:.0f} %',
@@ -32,7 +34,7 @@ select *,
   end as lack,
   -- no ground to refuse it: by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
   nullif(concat_ws('; ',
-    remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, unit_of_measure), scale_remark,
+    remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, repeated, unit_of_measure), scale_remark,
     case when several_axes is not null then 'the position ' || position || ' does not say which of the axes '
       || several_axes || ' it means, so the Earth''s rate stays in: name the axis that is up, as Z_up' end,
     case when abs(chamber_temperature - temperature_command) > 3 then

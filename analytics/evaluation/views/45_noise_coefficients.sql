@@ -20,7 +20,7 @@ with still as (
   -- the fit is of the output in deg/h by its unit, the coefficients are of the input
   select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale,
     coalesce((document->>'$.coefficients.misfit')::double > 0.25, false) as is_misfit, is_misfit or is_no_noise as is_refused,
-    remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, unit_of_measure) as still_remark
+    remark_on_samples(n, still, sd, outliers, outlier_excess, piled, piled_at, repeated, unit_of_measure) as still_remark
   from expected
 )
 select unit, signal, run, "index", coefficient, n, duration_s,

@@ -4,7 +4,7 @@ select s.unit, s.signal, s.run, [s.run] as runs, [s."index"] as steps, s.n, 'GJB
   '5.12.5.4.1 (23)(24)' as clause, s.t_from_ns, s.t_to_ns, abs(s.deg_per_h) as deg_per_h, g.sample_interval_s, s.is_no_noise,
   {
     method: 'normalised', duration_s: round_even(s.duration_s, 0)::bigint, sample_interval_s: g.sample_interval_s,
-    remark: remark_on_samples(s.n, s.still, s.sd, s.outliers, s.outlier_excess, s.piled, s.piled_at, s.unit_of_measure)
+    remark: remark_on_samples(s.n, s.still, s.sd, s.outliers, s.outlier_excess, s.piled, s.piled_at, s.repeated, s.unit_of_measure)
   } as parameters,
   case when s.n = 0 then 'no sample in the evaluated part of the step'
     when s.deg_per_h is null then no_scale_factor(s.unit_of_measure)

@@ -59,6 +59,16 @@ def test_clipped_outputs_and_lost_samples_have_no_interval(places: dict[str, str
         assert int(remark.split()[0]) == pytest.approx(count, abs=1)
 
 
+@pytest.mark.parametrize("n", [6000, pytest.param(N, marks=pytest.mark.long)])
+def test_samples_that_repeat_the_one_before_are_named(n: int, ask: Ask, tmp_path: Path) -> None:
+    at = np.arange(n)
+    noise = np.round(9.0 + 20.0 * np.random.default_rng(3).standard_normal(n), 2)
+    found = judged(ask, tmp_path, {"SOUND": noise, "FAST": noise[at - (at % 4 == 3)]})
+    assert "repeat" not in found["SOUND"]["remark"]
+    assert "25 % of the samples repeat the one before, which resolution and noise do not" in found["FAST"]["remark"]
+    assert {row["verdict"] for row in found.values()} == {"PASS"}
+
+
 @pytest.mark.long
 def test_a_coarse_resolution_is_no_defect_and_its_rounding_is_in_the_interval(ask: Ask, tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
