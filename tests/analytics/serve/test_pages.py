@@ -105,7 +105,8 @@ def test_figures_on_a_page_are_those_of_the_api(api: httpx.Client) -> None:
         assert row["metric"] in text
         assert f"{row['upper']:.6g}" in text
         if row["value"] is not None:  # as the command shows it: to two digits of its uncertainty
-            assert f">{format_number(row['value'], (row['hi'] - row['lo']) / 4)}<" in text
+            u = None if row["hi"] is None or row["lo"] is None else (row["hi"] - row["lo"]) / 4
+            assert f">{format_number(row['value'], u)}<" in text
     assert "Bias" in text
     rows = api.get("/api/signals/FOG-0001/run-1/rate", params={"points": 100}).json()
     assert f"{max(rows['max']):.6g}" in api.get("/signals/FOG-0001/run-1/rate").text
