@@ -56,10 +56,9 @@ class Verdicts(NamedTuple):
     pareto: list[Row]  # ``failure_pareto``: what units fail by; of the whole store
     warnings: list[Row]  # ``unit_warnings``: units that probably have two names
 
-    @property
-    def has_failure(self) -> bool:
-        """Whether a unit fails."""
-        return any(row["verdict"] == "FAIL" for row in self.units)
+    def has(self, verdict: str) -> bool:
+        """Whether a unit has that verdict."""
+        return any(row["verdict"] == verdict for row in self.units)
 
 
 def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: bool = True) -> Verdicts:

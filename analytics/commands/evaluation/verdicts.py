@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from analytics.specifications.verdicts import Group, Verdicts
     from storage.sql.catalog import Catalog
 
-_FAILED = 3
+_FAILED, _NOT_JUDGED = 3, 4
 _KINDS = ("all", "product", "lot", "station", "fixture", "day", "week", "month")
 _SHOWN = 200
 _SHOWN_PARTLY = 12
@@ -65,12 +65,13 @@ def _not_empty(context: click.Context, option: click.Parameter, value: str) -> s
 )
 @click.option("--risks", is_flag=True, help="Consumer's and producer's risk of each limit over each lot instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
+@click.option("--fail-on-no-data", is_flag=True, help="End with exit code 4 where a unit is NO_DATA.")
 @engine_option
 @language_option
 @reporting
 def verdicts(
     folder: Path, units: tuple[str, ...], by: Any, product: str, lot: str, station: str, fixture: str, since: str,
-    engine: str | None, language: str, *, risks: bool, fail_on_fail: bool, as_json: bool,
+    engine: str | None, language: str, *, risks: bool, fail_on_fail: bool, fail_on_no_data: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
 
@@ -122,8 +123,10 @@ def verdicts(
             print_json({"units": found.units, "verdicts": documents, **rest})
     else:
         _print(found, shares, by, language, with_values=bool(units))
-    if fail_on_fail and found.has_failure:
+    if fail_on_fail and found.has("FAIL"):
         sys.exit(_FAILED)
+    if fail_on_no_data and found.has("NO_DATA"):
+        sys.exit(_NOT_JUDGED)
 
 
 def _nothing_in(catalog: "Catalog", group: "Group") -> str:
@@ -198,6 +201,8 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
             console.print(text if language == "en" else zh)
         for line in _of_repeats(shares, by, language):
             console.print(line)
+        if unjudged := sorted({unit for row in shares for unit in row["unjudged"]}):
+            console.print(_unjudged(unjudged, language))
         partly = [row for row in shares if row["not_all_limits"]]
         for row in partly[:_SHOWN_PARTLY]:
             console.print(_not_all_limits(row, by, language))
@@ -233,18 +238,17 @@ def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[st
     """How many units pass by the first, and by the last, value of each limit, where this is not the same."""
     found = []
     for row in shares:
-        first, latest, of = row["first_passed"], row["latest_passed"], row["units"] - row["no_data"]
-        if of and {first, latest} != {row["passed"]}:
-            name, by_first, by_latest = _group_name(row, language), f"{first / of:.1%}", f"{latest / of:.1%}"
-            if language == "zh":
-                found.append(
-                    f"{name}：首次测量合格 {first}/{of}（{by_first}），最近测量合格 {latest}/{of}（{by_latest}）"
-                )
-            else:
-                found.append(
-                    f"{by} {name}: {first} of {of} ({by_first}) pass by their first values, {latest} ({by_latest}) by "
-                    "their latest"
-                )
+        name, counts = _group_of(row, by, language), {"first": "", "latest": ""}
+        for which in counts if {row["first_passed"], row["latest_passed"]} != {row["passed"]} else ():
+            passed, of = row[f"{which}_passed"], row[f"{which}_judged"]
+            among = f"{passed}/{of}" if language == "zh" else f"{passed} of {of}"
+            counts[which] = f"{among} ({passed / of:.1%})" if of else among
+        if not counts["first"]:
+            continue
+        if language == "zh":
+            found.append(f"{name}：首次测量合格 {counts['first']}，最近测量合格 {counts['latest']}")
+        else:
+            found.append(f"{name}: {counts['first']} pass by their first values, {counts['latest']} by their latest")
     more = len(found) - _SHOWN_PARTLY
     if more > 0:
         rest = f"以及另外 {more} 组（--json 给出全部）" if language == "zh" else f"and {more} more (--json gives all)"
@@ -252,14 +256,23 @@ def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[st
     return found
 
 
+def _unjudged(units: list[str], language: str) -> str:
+    """That units have values that nothing judges."""
+    names = ", ".join(units[:_SHOWN_PARTLY]) + (", ..." if len(units) > _SHOWN_PARTLY else "")
+    if language == "zh":
+        return f"{len(units)} 个产品有已测但无从判定的数值，因而不判为合格：{names}（原因见 `gyrofleet verdicts`）"
+    have = "1 unit has values" if len(units) == 1 else f"{len(units)} units have values"
+    return f"{have} that nothing judges, so that no PASS stands: {names} (`gyrofleet verdicts` has the reason)"
+
+
 def _not_all_limits(row: dict[str, Any], by: str, language: str) -> str:
     """That units passed by some of their limits only."""
     metrics = ", ".join(_name(metric, language) for metric in row["not_judged"])
     n, passed = row["not_all_limits"], row["passed"]
     if language == "zh":
-        return f"{_group_name(row, language)}：{passed} 个合格产品中有 {n} 个在该处未按其全部限值判定（{metrics}）"
+        return f"{_group_of(row, by, language)}：{passed} 个合格产品中有 {n} 个在该处未按其全部限值判定（{metrics}）"
     return (
-        f"{by} {_group_name(row, language)}: {n} of {passed} units that passed were not judged there by every limit "
+        f"{_group_of(row, by, language)}: {n} of {passed} units that passed were not judged there by every limit "
         f"that they were judged by elsewhere ({metrics})"
     )
 
@@ -279,7 +292,8 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     table = _table(("unit", "product", "lot", "verdict", "latest", *counted_as, "reason"), language)
     for row in units:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
-        why = _reasons_text(row, language) or (reason_of(row, language) if row["reason"] else "")
+        parts = (_reasons_text(row, language), reason_of(row, language) if row["reason"] else "")
+        why = "; ".join(part for part in parts if part)
         table.add_row(
             named(row, "unit"), row["product"], row["lot"], _coloured(row["verdict"], language),
             _coloured(row["latest_verdict"], language), *counts, why,
@@ -333,6 +347,14 @@ def _group_name(row: dict[str, Any], language: str, column: str = "name") -> str
 
     ungiven = UNGIVEN_ZH if language == "zh" else UNGIVEN
     return named(row | {column: ungiven} if row[column] is None else row, column)
+
+
+def _group_of(row: dict[str, Any], by: str, language: str) -> str:
+    """The name of a group at the head of a sentence."""
+    name = _group_name(row, language)
+    if by == "all":
+        return name.removesuffix("all") + ("全部产品" if language == "zh" else "all units")
+    return name if language == "zh" else f"{by} {name}"
 
 
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:

@@ -116,23 +116,23 @@ create or replace macro is_earth_rate_known(parameters) as
 create or replace macro is_earth_rate_unknown(parameters) as
   coalesce(starts_with(parameters->>'$.earth_rate_in_it', 'up to'), false);
 
--- Every value with every limit that could be meant, whether or not it was valid then.
+-- Every value with every limit that could be meant, whether or not it was valid then, or had been withdrawn.
 create or replace view internal.limit_candidates as
 with meant as (
   select m.row, s.limit_id from internal.metric_runs m join internal.limit_editions s using (metric)
-  where s.parameter_count = 0 and m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
+  where s.parameter_count = 0
   union all
   select p.row, p.limit_id from internal.parameters_met p join internal.limit_editions s using (limit_id)
   where p.met = s.parameter_count
 )
 select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
-  s.limit_id, s.unit_of_measure as limit_unit,
+  s.limit_id, s.unit_of_measure as limit_unit, m.known_ns < s.known_until_ns as is_known,
   -- where the date is not known, a specification that has never changed is the one that held
   case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
 from meant
 join internal.metric_runs m using (row)
 join internal.limit_editions s using (limit_id)
-where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
+where m.known_ns >= s.known_from_ns
   -- a value with the Earth's rate in it is judged where a limit asks for that, or nobody can remove it
   and (not is_earth_rate_known(m.parameters) or s.parameters->>'$.earth_rate' is not null)
   and (s.product is null or s.product = m.product)
@@ -160,9 +160,18 @@ select d.unit, d.run, d.signal,
 from decided d join released r using (unit, run)
 group by d.unit, d.run, d.signal, metric, d.tau_s, d.upper, d.unit_of_measure;
 
+create or replace view internal.withdrawn_revisions as
+select specification, revision, max(t_ns) as t_ns, arg_max(entered_by, t_ns) as "by", arg_max(reason, t_ns) as reason
+from specification_history where revision <> '' group by specification, revision
+having arg_max(action, t_ns) = 'withdrawn';
+
+-- `is_unjudged`: a value is there that nothing judges. It was measured after the first revision of a specification that
+-- has a limit for it, where no revision was valid, or after a value that was judged, and lacks what its rule needs.
 create or replace table verdicts as
-with candidate as materialized (
+with meant as materialized (
   select * from internal.limit_candidates
+), candidate as (
+  from meant where is_known
 ), lacking_samples as (                 -- records that lack more than a tenth of their samples
   select run, unit, signal, list("index") as lacking_steps, arg_min(n, n / expected) as n, arg_min(expected, n / expected) as expected
   from step_means where n < 0.9 * expected and lacks_samples(n, expected) group by run, unit, signal
@@ -269,23 +278,56 @@ with candidate as materialized (
           || coalesce(': ' || (parameters->>'$.remark'), '; simple_acceptance judges by the value alone')
       when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
     end as reason,
-    product, lot, station, fixture, day, t_ns
+    product, lot, station, fixture, day, t_ns, date_known, verdict = 'NO_DATA' and value is not null
+      and t_ns > max(t_ns) filter (verdict <> 'NO_DATA') over (
+        partition by unit, signal, metric, subject, standard, specification) as is_unjudged
   from judged
-), outside as (                         -- a limit there is, but none that was valid at the time
-  select unit, signal, run, metric, any_value(subject order by limit_id) as subject, 'NO_DATA' as verdict,
-    null::double as value, null::double as lo, null::double as hi, null::double as lower, null::double as upper,
-    any_value(limit_unit order by limit_id) as unit_of_measure, any_value(parameters) as parameters,
-    any_value(runs) as runs, any_value(standard) as standard, any_value(clause) as clause, specification,
-    null::varchar as revision,
-    case when bool_and(date_known)
-      then 'no revision of ' || specification || ' was valid at ' || strftime(make_timestamp(any_value(t_ns) // 1000), '%Y-%m-%d')
-      else 'the date of the run is not known, so nobody can say which revision of ' || specification || ' held'
-    end || ': there is ' || string_agg(distinct revision || ' ' || valid, ', ' order by revision || ' ' || valid) as reason,
-    any_value(product) as product, any_value(lot) as lot, any_value(station) as station,
-    any_value(fixture) as fixture, any_value(day) as day, any_value(t_ns) as t_ns
-  from candidate
-  group by row, unit, signal, run, metric, specification
-  having not bool_or(is_valid)
+), not_judged as (                      -- that limits have asked for, of which none was valid and known at the time
+  from meant anti join (select row from candidate where is_valid) v using (row)
+), valid_then as (                      -- what the revisions of such a specification limit that were
+  select n.row, n.specification, string_agg(distinct s.revision, ', ' order by s.revision) as revision,
+    bool_or(s.product is null or s.product = n.product) as is_for_product,
+    bool_or(s.metric = n.metric and (s.product is null or s.product = n.product)) as is_limited,
+    string_agg(distinct s.product, ', ' order by s.product) filter (s.metric = n.metric and s.product <> n.product)
+      as limited_of
+  from (select distinct row, specification, metric, product, date_known, t_ns, known_ns from not_judged) n
+  join internal.limit_editions s on s.specification = n.specification
+    and n.known_ns >= s.known_from_ns and n.known_ns < s.known_until_ns
+    and case when n.date_known then n.t_ns >= s.from_ns and n.t_ns < s.until_ns else s.revisions = 1 end
+  group by n.row, n.specification
+), there_is as (
+  select row, specification, string_agg(revision || ' ' || valid, ', ' order by revision) as revisions
+  from (
+    select n.row, n.specification, n.revision,
+      arg_max(n.valid, (n.is_known, n.known_from_ns)) || if(any_value(w.revision) is null, '', ' (withdrawn)') as valid
+    from not_judged n left join internal.withdrawn_revisions w using (specification, revision)
+    group by n.row, n.specification, n.revision
+  ) group by row, specification
+), outside as (                         -- a revision for its product that no longer has the limit asks for nothing
+  select n.unit, n.signal, n.run, n.metric, arg_max(n.subject, (n.known_until_ns, n.from_ns, -n.limit_id)) as subject,
+    'NO_DATA' as verdict, any_value(n.value) as value, any_value(n.lo) as lo, any_value(n.hi) as hi,
+    null::double as lower, null::double as upper, any_value(n.unit_of_measure) as unit_of_measure,
+    any_value(n.parameters) as parameters, any_value(n.runs) as runs, any_value(n.standard) as standard,
+    any_value(n.clause) as clause, n.specification, null::varchar as revision,
+    case
+      when not bool_or(n.is_known) then 'no revision of ' || n.specification || ' was in force when it was recorded'
+      when not bool_and(n.date_known)
+        then 'the date of the run is not known, so nobody can say which revision of ' || n.specification || ' held'
+      when any_value(v.revision) is null then 'no revision of ' || n.specification || ' was valid at '
+        || strftime(make_timestamp(any_value(n.t_ns) // 1000), '%Y-%m-%d')
+      else n.specification || '-' || any_value(v.revision) || ', valid at '
+        || strftime(make_timestamp(any_value(n.t_ns) // 1000), '%Y-%m-%d') || ', has no limit for '
+        || coalesce('product ' || any_value(n.product) || ', but for ' || any_value(v.limited_of), 'its product')
+    end || ': there is ' || any_value(t.revisions) as reason,
+    any_value(n.product) as product, any_value(n.lot) as lot, any_value(n.station) as station,
+    any_value(n.fixture) as fixture, any_value(n.day) as day, any_value(n.t_ns) as t_ns,
+    bool_and(n.date_known) as date_known,
+    any_value(n.value) is not null and not (bool_and(n.date_known) and any_value(n.t_ns) < min(n.from_ns)) as is_unjudged
+  from not_judged n
+  left join valid_then v on v.row = n.row and v.specification = n.specification
+  left join there_is t on t.row = n.row and t.specification = n.specification
+  where not coalesce(v.is_for_product and (v.is_limited or v.limited_of is null), false)
+  group by n.row, n.unit, n.signal, n.run, n.metric, n.specification
 ), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
   select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns, u.lack,
     s.* exclude (product), s.signal as limit_signal, s.product as limit_product
@@ -359,9 +401,11 @@ with candidate as materialized (
     u.product, u.lot, u.station, u.fixture, make_timestamp_ns(e.t_ns)::date as day, e.t_ns
   from internal.standing_checks e left join internal.judged_units u on u.unit = e.unit
 )
-select * from of_values
-union all by name select * from outside
-union all by name select * from lacking
-union all by name select * from unknown_product
-union all by name select * from entered;
+select * replace (coalesce(is_unjudged, false) as is_unjudged) from (
+  select * from of_values
+  union all by name select * from outside
+  union all by name select * from lacking
+  union all by name select * from unknown_product
+  union all by name select * from entered
+);
 comment on table verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

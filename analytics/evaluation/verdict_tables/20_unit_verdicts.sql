@@ -1,32 +1,37 @@
 -- One verdict for each unit: the worst of its limits. A limit's own verdict is the worst of its values; an attempt that
--- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
--- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each
--- limit instead: after a repair and a second test the two differ. A value of a run whose date is not known, so that
--- nobody can say which revision judges it, keeps its unit from passing.
+-- gave no value counts only where no other did, a value that nothing judges (`is_unjudged`) as NO_DATA. A unit passes only
+-- where limits of a specification were judged: checks that were entered by hand can fail a unit, and do not pass it by
+-- themselves. `latest_verdict` takes the last value of each limit instead: after a repair and a second test the two differ.
+-- A value that nothing judges of a run whose date is not known may be the last.
+create or replace macro worst_rank(verdict, is_unjudged) as
+  coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA' or is_unjudged), 3);
+create or replace macro internal.ordered_ns(is_unjudged, date_known, t_ns) as
+  if(is_unjudged and not date_known, 9223372036854775807, t_ns);
+create or replace macro latest_rank(verdict, is_unjudged, date_known, t_ns) as
+  coalesce(arg_max(verdict_rank(verdict), (internal.ordered_ns(is_unjudged, date_known, t_ns), -verdict_rank(verdict)))
+    filter (verdict <> 'NO_DATA' or is_unjudged), 3);
+create or replace macro first_rank(verdict, is_unjudged, date_known, t_ns) as
+  coalesce(arg_min(verdict_rank(verdict), (internal.ordered_ns(is_unjudged, date_known, t_ns), verdict_rank(verdict)))
+    filter (verdict <> 'NO_DATA' or is_unjudged), 3);
+
 create or replace table internal.limit_verdicts as
-with undated as (
-  select distinct m.unit, m.run, m.metric from unit_metrics m join unit_runs r on r.unit = m.unit and r.run = m.run
-  where not r.date_known and m.value is not null
-), attempt as (
-  select v.*, case when subject = 'entered' then '' else coalesce(standard, '') end as of_standard,
-    u.run is not null and v.revision is null and v.specification is not null as is_unjudged
-  from verdicts v left join undated u on u.unit = v.unit and u.run = v.run and u.metric = v.metric
-), unjudged as (
-  select distinct unit, metric, specification, signal from attempt where is_unjudged
-)
-select a.unit, a.signal, a.metric, a.subject, a.of_standard, a.specification,
-  verdict_of_rank(least(
-    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3), if(bool_or(u.unit is not null), 3, 4)))
-    as verdict,
-  case when bool_or(u.unit is not null) then 'NO_DATA' else
-    coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') end
-    as latest_verdict,
+select unit, signal, metric, subject, if(subject = 'entered', '', coalesce(standard, '')) as of_standard, specification,
+  verdict_of_rank(worst_rank(verdict, is_unjudged)) as verdict,
+  verdict_of_rank(latest_rank(verdict, is_unjudged, date_known, t_ns)) as latest_verdict,
   count(*) as attempts,
   any_value(reason) filter (subject = 'product') as of_product  -- why no limit of its product is applied
-from attempt a left join unjudged u
-  on u.unit = a.unit and u.metric = a.metric and u.specification = a.specification
-  and u.signal is not distinct from a.signal
-group by a.unit, a.signal, a.metric, a.subject, a.of_standard, a.specification;
+from verdicts group by all;
+
+-- What was measured of a unit and nothing judges: the last such value with its reason, and what is of before a specification.
+create or replace view internal.unjudged_units as
+with value as (
+  select unit, is_unjudged, revision, metric || ' of run ' || coalesce(run, runs[-1]) as name, reason,
+    internal.ordered_ns(is_unjudged, date_known, t_ns) as ns
+  from verdicts where is_unjudged or verdict = 'NO_DATA' and value is not null and revision is null and specification is not null
+)
+select unit, count(*) filter (is_unjudged) as n, arg_max({name: name, reason: reason}, (ns, name)) filter (is_unjudged) as last,
+  arg_max(name, (ns, name)) filter (not is_unjudged) as before
+from value group by unit;
 
 create or replace macro unit_verdict(worst_rank, limits) as
   case when worst_rank = 4 and limits = 0 then 'NO_DATA' else verdict_of_rank(worst_rank) end;
@@ -55,8 +60,10 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.no_data, 0) as no_data, coalesce(j.failures, []) as failures,
   coalesce(j.undecided, []) as undecided, coalesce(j.lacking, []) as lacking,
   case
+    when n.n = 1 then n.last.name || ' is not judged: ' || n.last.reason
+    when n.n > 1 then n.last.name || ' and ' || (n.n - 1) || ' more are not judged: ' || n.last.reason
     when j.failed + j.marginal > 0 then null
-    when j.limits > 0 then j.of_product
+    when j.limits > 0 then coalesce(j.of_product, n.before || ' was measured before its specification was valid, and is not judged')
     when exists (from internal.specification_problems) then
       (select min(problem) from internal.specification_problems) || '; `gyrofleet verify` has the details'
     when not exists (from internal.limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
@@ -64,5 +71,6 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
     else 'no limit applies to it: no specification is for product ' || u.product
   end as reason
 from known k left join judged j using (unit) left join internal.judged_units u using (unit)
+left join internal.unjudged_units n using (unit)
 order by k.unit;
 comment on view unit_verdicts is 'one row for each unit: the worst of its verdicts, and the verdict of its latest values';

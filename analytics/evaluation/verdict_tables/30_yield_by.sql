@@ -27,7 +27,7 @@ create or replace macro internal.verdicts_in(
   of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
 select unit, signal, metric, subject, standard, specification, revision, verdict, decision_rule, product, lot, station, fixture, day,
-  t_ns
+  t_ns, date_known, is_unjudged
 from verdicts
 where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
   of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day);
@@ -68,10 +68,9 @@ with judged as (
   union all select 'month', internal.month_of(day), * from judged
 ), each_limit as (                      -- as in unit_verdicts
   select kind, name, unit, specification,
-    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank,
-    coalesce(arg_min(verdict_rank(verdict), (t_ns, verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3) as first_rank,
-    coalesce(arg_max(verdict_rank(verdict), (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3)
-      as latest_rank,
+    worst_rank(verdict, is_unjudged) as rank,
+    first_rank(verdict, is_unjudged, date_known, t_ns) as first_rank,
+    latest_rank(verdict, is_unjudged, date_known, t_ns) as latest_rank,
     signal, metric, subject, max(revision) as revision
   from placed group by kind, name, unit, signal, metric, subject, standard, specification
 ), limit_of_unit as (                   -- that were judged anywhere
@@ -108,7 +107,8 @@ with judged as (
     count(*) filter (verdict = 'FAIL') as failed,
     count(*) filter (verdict = 'MARGINAL') as marginal,
     count(*) filter (verdict = 'NO_DATA') as no_data,
-    count(*) filter (first_verdict = 'PASS') as first_passed, count(*) filter (latest_verdict = 'PASS') as latest_passed
+    count(*) filter (first_verdict = 'PASS') as first_passed, count(*) filter (latest_verdict = 'PASS') as latest_passed,
+    count(*) filter (first_verdict <> 'NO_DATA') as first_judged, count(*) filter (latest_verdict <> 'NO_DATA') as latest_judged
   from every_unit group by kind, name
 ), partly as (
   select u.kind, u.name, count(distinct u.unit) as not_all_limits, list(distinct n.metric order by n.metric) as not_judged
@@ -117,18 +117,19 @@ with judged as (
   where u.verdict = 'PASS' group by u.kind, u.name
 ), rules as (
   select kind, name, list(distinct decision_rule order by decision_rule) filter (decision_rule is not null)
-      as decision_rules
+      as decision_rules, list(distinct unit order by unit) filter (is_unjudged) as unjudged
   from placed group by kind, name
 ), shares as (
   select *, nullif(units - no_data, 0) as n, passed / nullif(units - no_data, 0) as share,
     1.959963984540054 as z
   from counted
 )
-select s.kind, s.name, units, passed, failed, marginal, no_data, first_passed, latest_passed, share as yield,
+select s.kind, s.name, units, passed, failed, marginal, no_data, first_passed, first_judged, latest_passed, latest_judged,
+  share as yield,
   greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
   least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
   coalesce(p.not_all_limits, 0) as not_all_limits, coalesce(p.not_judged, []) as not_judged,
-  coalesce(r.decision_rules, []) as decision_rules,
+  coalesce(r.unjudged, []) as unjudged, coalesce(r.decision_rules, []) as decision_rules,
   case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
 from shares s left join rules r on r.kind = s.kind and r.name is not distinct from s.name
 left join partly p on p.kind = s.kind and p.name is not distinct from s.name

@@ -100,7 +100,7 @@ def test_an_entered_check_counts_by_its_own_verdict(judged: Judged) -> None:
     assert (found.verdicts[0]["value"], found.verdicts[0]["lower"]) == (80.0, 100.0)
     (unit,) = found.units
     assert (unit["verdict"], unit["failures"]) == ("FAIL", ["insulation", "visual_check"])
-    assert found.has_failure
+    assert found.has("FAIL")
 
 
 def check(judged: Judged, unit: str, verdict: Verdict = Verdict.PASS, **more: Any) -> None:

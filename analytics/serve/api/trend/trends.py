@@ -22,8 +22,7 @@ from unit_metrics group by metric
 _VERDICTS = f"""
 with each_limit as (
   select unit, metric, specification,
-    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank,
-    coalesce(arg_max(verdict_rank(verdict), (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 3) as latest
+    worst_rank(verdict, is_unjudged) as rank, latest_rank(verdict, is_unjudged, date_known, t_ns) as latest
   from internal.verdicts_in({GROUP_ARGUMENTS}) where $metric = '' or metric = $metric
   group by unit, signal, metric, subject, standard, specification
 ), in_group as (
@@ -157,12 +156,15 @@ YieldGroup = TypedDict(
         "marginal": int,
         "no_data": int,
         "first_passed": int,
+        "first_judged": int,
         "latest_passed": int,
+        "latest_judged": int,
         "yield": float | None,
         "yield_lo": float | None,
         "yield_hi": float | None,
         "not_all_limits": int,
         "not_judged": list[str],
+        "unjudged": list[str],
         "decision_rules": list[str],
         "reason": str | None,
     },
