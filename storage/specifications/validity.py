@@ -49,19 +49,30 @@ def in_force(links: Iterable[Link]) -> list[Specification]:
     return [_specification(each) for each in found.values()]
 
 
+def withdrawn_labels(links: Iterable[Link]) -> list[str]:
+    """Revisions that were withdrawn and not entered again."""
+    found = {link.label: link.document.action for link in links if link.document.name}
+    return [label for label, action in found.items() if action is SpecificationAction.WITHDRAWN]
+
+
 def stored_specifications(store: Store) -> list[Specification]:
     """Specifications in force in a store; StoreError if the lake or the log is damaged."""
     return in_force(read_chain(store).links)
 
 
-def specification_named(store: Store, label: str) -> tuple[Period, str]:
+def specification_named(links: Sequence[Link], label: str) -> tuple[Period, str]:
     """Period and TOML of a ``NAME-REVISION``, withdrawn or not, or of the last revision of a name; else NotFound."""
-    links = read_chain(store).links
     contents = {link.label: link.document for link in links if link.document.content}
     periods = ordered_periods(in_force(links))
-    every = ordered_periods(map(_specification, contents.values()))
-    periods += [each for each in every if each.specification.label == label]
+    if label in contents.keys() - {each.specification.label for each in periods}:
+        periods += ordered_periods([_specification(contents[label])])
     named = [each for each in periods if label in {each.specification.label, each.specification.name}]
+    revisions = [each for each in withdrawn_labels(links) if each.rpartition("-")[0] == label]
+    if not named and revisions:
+        raise NotFound(
+            f"no revision of {label!r} is in force: {', '.join(revisions)} {'is' if len(revisions) == 1 else 'are'} "
+            f"withdrawn; `gyrofleet limits show {revisions[-1]}` shows it"
+        )
     if not named:
         known = ", ".join(contents) or "none; `gyrofleet limits add FILE` adds one"
         raise NotFound(f"there is no specification {label!r}; there are {known}")

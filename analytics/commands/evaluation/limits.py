@@ -156,7 +156,7 @@ def history(folder: Path, *, as_json: bool) -> None:
 def list_all(folder: Path, *, as_json: bool) -> None:
     """List the specifications of a store."""
     from storage.specifications.chain import read_chain
-    from storage.specifications.validity import in_force, ordered_periods
+    from storage.specifications.validity import in_force, ordered_periods, withdrawn_labels
     from storage.store import Store
 
     store = Store.open(folder)
@@ -172,7 +172,10 @@ def list_all(folder: Path, *, as_json: bool) -> None:
             document = entered[found.label]
             words = (found.name, found.revision, each.text, str(len(found.limits)), ", ".join(found.products))
             table.add_row(*words, _entry(document)["entered"], _people(document))
-        results().print(table if periods else completed(_NONE))
+        withdrawn = ", ".join(withdrawn_labels(chain.links))
+        results().print(table if periods else "no specification is in force" if withdrawn else completed(_NONE))
+        if withdrawn:
+            results().print(f"withdrawn: {withdrawn} (`gyrofleet limits history` says why)")
     warn_of_copies(store, chain)
 
 
@@ -186,10 +189,12 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
     """Show the limits of a specification."""
     from analytics.evaluation.table import name_of
     from analytics.metric_registry.magnitudes import as_judged
-    from storage.specifications.validity import specification_named
+    from storage.specifications.chain import read_chain
+    from storage.specifications.validity import specification_named, withdrawn_labels
     from storage.store import Store
 
-    period, content = specification_named(Store.open(folder), name)
+    links = read_chain(Store.open(folder)).links
+    period, content = specification_named(links, name)
     found = period.specification
     judged = [as_judged(each) for each in found.limits]
     if as_toml:
@@ -201,7 +206,8 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
     titles = ("characteristic", "of", "product", "lower", "upper", "unit of measure")
     if language == "zh":
         titles = ("特性", "限定", "产品", "下限", "上限", "单位")
-    table = ResultTable(*titles, title=f"{found.label}, {period.text}")
+    state = (", withdrawn" if language == "en" else "，已撤回") if found.label in withdrawn_labels(links) else ""
+    table = ResultTable(*titles, title=f"{found.label}, {period.text}{state}")
     for each in judged:
         of = each.subject.removeprefix(each.metric).strip(" ()")
         numbers = ("" if number is None else f"{number:g}" for number in (each.lower, each.upper))

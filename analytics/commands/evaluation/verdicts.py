@@ -190,27 +190,7 @@ def _risk(specific: float | None, overall: float) -> str:
 def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: str, *, with_values: bool) -> None:
     console = results()
     if by:
-        console.print(_yield_table(shares, by, language))
-        if without := sum(row["no_data"] for row in shares):
-            of = sum(row["units"] for row in shares)
-            text = f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
-            zh = f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
-            if by != "all":
-                text += f"; a unit counts in each {by} in which it was measured"
-                zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
-            console.print(text if language == "en" else zh)
-        for line in _of_repeats(shares, by, language):
-            console.print(line)
-        if unjudged := sorted({unit for row in shares for unit in row["unjudged"]}):
-            console.print(_unjudged(unjudged, language))
-        partly = [row for row in shares if row["not_all_limits"]]
-        for row in partly[:_SHOWN_PARTLY]:
-            console.print(_not_all_limits(row, by, language))
-        if len(partly) > _SHOWN_PARTLY:
-            rest = len(partly) - _SHOWN_PARTLY
-            console.print(
-                f"以及另外 {rest} 组（--json 给出全部）" if language == "zh" else f"and {rest} more (--json gives all)"
-            )
+        _print_yield(shares, by, language)
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
         if with_values:
@@ -232,6 +212,35 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         reason = row["reason_zh"] if language == "zh" else row["reason"]
         before = "警告：产品" if language == "zh" else "warning: unit"
         notes().print(f"{before} {named(row, 'unit')}: {reason}", soft_wrap=True)
+
+
+def _print_yield(shares: list[dict[str, Any]], by: str, language: str) -> None:
+    from analytics.evaluation.table import reason_of
+
+    console = results()
+    console.print(_yield_table(shares, by, language))
+    if without := sum(row["no_data"] for row in shares):
+        of = sum(row["units"] for row in shares)
+        text = f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
+        zh = f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
+        if by != "all":
+            text += f"; a unit counts in each {by} in which it was measured"
+            zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
+        console.print(text if language == "en" else zh)
+    for line in _of_repeats(shares, by, language):
+        console.print(line)
+    if unjudged := sorted({unit for row in shares for unit in row["unjudged"]}):
+        console.print(_unjudged(unjudged, language))
+    for text in sorted({text for row in shares for text in row["withdrawn"]}):
+        console.print(reason_of({"reason": f"{text}, and still judges this, which was recorded before"}, language))
+    partly = [row for row in shares if row["not_all_limits"]]
+    for row in partly[:_SHOWN_PARTLY]:
+        console.print(_not_all_limits(row, by, language))
+    if len(partly) > _SHOWN_PARTLY:
+        rest = len(partly) - _SHOWN_PARTLY
+        console.print(
+            f"以及另外 {rest} 组（--json 给出全部）" if language == "zh" else f"and {rest} more (--json gives all)"
+        )
 
 
 def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[str]:
@@ -331,12 +340,13 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         parameters = format_parameters(json.loads(row["parameters"] or "{}"), language)
         of_plant = f"{row['plant']}: " if "plant" in row else ""
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
+        mark = " (已撤回)" if language == "zh" else " (withdrawn)"
+        why = "; ".join(reason_of({"reason": each}, language) for each in (row["reason"], row["withdrawn"]) if each)
         table.add_row(
             of_plant + _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language),
-            _conformity(row, language), row["standard"], label,
-            reason_of(row, language) if row["reason"] else "",
+            _conformity(row, language), row["standard"], label + (mark if row["withdrawn"] else ""), why,
         )  # fmt: skip
     return table
 

@@ -160,8 +160,10 @@ select d.unit, d.run, d.signal,
 from decided d join released r using (unit, run)
 group by d.unit, d.run, d.signal, metric, d.tau_s, d.upper, d.unit_of_measure;
 
-create or replace view internal.withdrawn_revisions as
-select specification, revision, max(t_ns) as t_ns, arg_max(entered_by, t_ns) as "by", arg_max(reason, t_ns) as reason
+create or replace table internal.withdrawn_revisions as
+select specification, revision, specification || '-' || revision || ' was withdrawn on '
+    || strftime(make_timestamp(max(t_ns) // 1000), '%Y-%m-%d') || ' by ' || arg_max(entered_by, t_ns) || ': '
+    || arg_max(reason, t_ns) as withdrawn
 from specification_history where revision <> '' group by specification, revision
 having arg_max(action, t_ns) = 'withdrawn';
 
@@ -401,11 +403,11 @@ with meant as materialized (
     u.product, u.lot, u.station, u.fixture, make_timestamp_ns(e.t_ns)::date as day, e.t_ns
   from internal.standing_checks e left join internal.judged_units u on u.unit = e.unit
 )
-select * replace (coalesce(is_unjudged, false) as is_unjudged) from (
+select v.* replace (coalesce(v.is_unjudged, false) as is_unjudged), w.withdrawn from (
   select * from of_values
   union all by name select * from outside
   union all by name select * from lacking
   union all by name select * from unknown_product
   union all by name select * from entered
-);
+) v left join internal.withdrawn_revisions w on w.specification = v.specification and w.revision = v.revision;
 comment on table verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

@@ -59,18 +59,22 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.passed, 0) as passed, coalesce(j.failed, 0) as failed, coalesce(j.marginal, 0) as marginal,
   coalesce(j.no_data, 0) as no_data, coalesce(j.failures, []) as failures,
   coalesce(j.undecided, []) as undecided, coalesce(j.lacking, []) as lacking,
-  case
+  nullif(concat_ws('; ', case
     when n.n = 1 then n.last.name || ' is not judged: ' || n.last.reason
     when n.n > 1 then n.last.name || ' and ' || (n.n - 1) || ' more are not judged: ' || n.last.reason
     when j.failed + j.marginal > 0 then null
     when j.limits > 0 then coalesce(j.of_product, n.before || ' was measured before its specification was valid, and is not judged')
     when exists (from internal.specification_problems) then
       (select min(problem) from internal.specification_problems) || '; `gyrofleet verify` has the details'
+    when not exists (from internal.limit_editions) and exists (from internal.withdrawn_revisions) then
+      'no revision is in force: ' || (select string_agg(withdrawn, ', ' order by withdrawn) from internal.withdrawn_revisions)
     when not exists (from internal.limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
     when u.product is null then 'no limit applies to it: its product is not known'
     else 'no limit applies to it: no specification is for product ' || u.product
-  end as reason
+  end, w.withdrawn || ', and still judges this, which was recorded before'), '') as reason
 from known k left join judged j using (unit) left join internal.judged_units u using (unit)
 left join internal.unjudged_units n using (unit)
+left join (select unit, string_agg(distinct withdrawn, ', ' order by withdrawn) as withdrawn from verdicts group by unit) w
+  using (unit)
 order by k.unit;
 comment on view unit_verdicts is 'one row for each unit: the worst of its verdicts, and the verdict of its latest values';

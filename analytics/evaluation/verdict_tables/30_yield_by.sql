@@ -27,7 +27,7 @@ create or replace macro internal.verdicts_in(
   of_run := '', of_units := [], since_ns := null, of_since_day := ''
 ) as table
 select unit, signal, metric, subject, standard, specification, revision, verdict, decision_rule, product, lot, station, fixture, day,
-  t_ns, date_known, is_unjudged
+  t_ns, date_known, is_unjudged, withdrawn
 from verdicts
 where internal.is_in_group(product, lot, station, fixture, day, run, unit, t_ns,
   of_product, of_lot, of_station, of_fixture, of_day, of_week, of_month, of_run, of_units, since_ns, of_since_day);
@@ -117,7 +117,8 @@ with judged as (
   where u.verdict = 'PASS' group by u.kind, u.name
 ), rules as (
   select kind, name, list(distinct decision_rule order by decision_rule) filter (decision_rule is not null)
-      as decision_rules, list(distinct unit order by unit) filter (is_unjudged) as unjudged
+      as decision_rules, list(distinct unit order by unit) filter (is_unjudged) as unjudged,
+    list(distinct withdrawn order by withdrawn) filter (withdrawn is not null) as withdrawn
   from placed group by kind, name
 ), shares as (
   select *, nullif(units - no_data, 0) as n, passed / nullif(units - no_data, 0) as share,
@@ -129,7 +130,7 @@ select s.kind, s.name, units, passed, failed, marginal, no_data, first_passed, f
   greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
   least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
   coalesce(p.not_all_limits, 0) as not_all_limits, coalesce(p.not_judged, []) as not_judged,
-  coalesce(r.unjudged, []) as unjudged, coalesce(r.decision_rules, []) as decision_rules,
+  coalesce(r.unjudged, []) as unjudged, coalesce(r.withdrawn, []) as withdrawn, coalesce(r.decision_rules, []) as decision_rules,
   case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
 from shares s left join rules r on r.kind = s.kind and r.name is not distinct from s.name
 left join partly p on p.kind = s.kind and p.name is not distinct from s.name

@@ -12,6 +12,7 @@ from analytics.specifications.entering import add_specification
 from analytics.step_records.step_table import step_means
 from storage.check.verify import verify
 from storage.findings import Severity
+from storage.specifications.chain import read_chain
 from storage.specifications.validity import NEVER, periods_of, specification_named, stored_specifications
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -117,10 +118,10 @@ def test_a_revision_ends_where_the_next_begins(store: Store, add: Add) -> None:
     assert second.until_ns == third.from_ns
     assert third.until_ns - third.from_ns == 31 * day  # its last day is included
     assert [each.specification.revision for each in (first, second, third)] == ["A", "B", "C"]
-    assert specification_named(store, "fog")[0].specification.revision == "C"
-    assert specification_named(store, "fog-A")[1].encode() == spec("A")
+    assert specification_named(read_chain(store).links, "fog")[0].specification.revision == "C"
+    assert specification_named(read_chain(store).links, "fog-A")[1].encode() == spec("A")
     with pytest.raises(NotFound, match="fog-A, fog-B, fog-C"):
-        specification_named(store, "fog-D")
+        specification_named(read_chain(store).links, "fog-D")
 
 
 @pytest.mark.long

@@ -52,7 +52,7 @@ def enter(ask: Ask, tmp_path: Path) -> Ask:
 
 def said(folder: Path, *words: str) -> tuple[int, str]:
     """What a person reads."""
-    done = CliRunner().invoke(main, [*words, "--store", str(folder)])
+    done = CliRunner().invoke(main, [*words, "--store", str(folder)], env={"COLUMNS": "400"})
     return done.exit_code, " ".join(done.output.split())
 
 
@@ -87,7 +87,7 @@ def test_no_pass_stands_after_a_value_that_no_revision_judges(ask: Ask, enter: A
 
 
 @pytest.mark.long
-def test_a_retest_after_a_withdrawal_has_a_row_and_counts_on_its_day(ask: Ask, enter: Ask) -> None:
+def test_a_retest_after_a_withdrawal_has_a_row_and_counts_on_its_day(ask: Ask, enter: Ask, tmp_path: Path) -> None:
     enter(A)
     enter("V1", 2, 5.0)
     ask("limits", "withdraw", "P1-A", "--reason", "typed wrong")
@@ -98,6 +98,14 @@ def test_a_retest_after_a_withdrawal_has_a_row_and_counts_on_its_day(ask: Ask, e
     assert rows == {("V1-2", "PASS", None), ("V1-6", "NO_DATA", why), ("V2-6", "NO_DATA", why)}
     days = {row["name"]: (row["units"], row["no_data"]) for row in ask("verdicts", "--by", "day")["yield"]}
     assert days == {"2026-10-02": (1, 0), "2026-10-06": (2, 2)}
+    (judged, *_) = (row["reason"] for row in ask("verdicts", "--unit", "V1")["units"])
+    assert judged.startswith(f"bias of run V1-6 is not judged: {why}; P1-A was withdrawn on ")
+    assert judged.endswith("typed wrong, and still judges this, which was recorded before")
+    assert "P1-A (withdrawn)" in said(tmp_path / "S", "verdicts", "--unit", "V1")[1]
+    assert "P1-A 已于" in said(tmp_path / "S", "verdicts", "--by", "day", "--lang", "zh")[1]
+    assert "in force withdrawn: P1-A (" in said(tmp_path / "S", "limits", "list")[1]
+    assert "no revision of 'P1' is in force: P1-A is withdrawn" in said(tmp_path / "S", "limits", "show", "P1")[1]
+    assert "P1-A, from 2026-10-01, withdrawn" in said(tmp_path / "S", "limits", "show", "P1-A")[1]
     enter(A.replace('"A"', '"B"'))  # what no revision judged is judged by the first that is entered for its time
     assert {row["verdict"] for row in ask("verdicts")["units"]} == {"PASS"}
 

@@ -165,6 +165,7 @@ YieldGroup = TypedDict(
         "not_all_limits": int,
         "not_judged": list[str],
         "unjudged": list[str],
+        "withdrawn": list[str],
         "decision_rules": list[str],
         "reason": str | None,
     },
