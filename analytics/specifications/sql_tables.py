@@ -54,7 +54,7 @@ def put_specifications(catalog: Catalog) -> None:
         for limit in each.period.specification.limits if not chain.breaks else ():
             for name, value in limit.parameters.items():
                 of = {"limit_id": len(limits), "metric": limit.metric}
-                parameters.append(of | {"path": f"$.{json.dumps(name)}", "key": _key(value)})
+                parameters.append(of | {"path": f"$.{json.dumps(name)}", "key": parameter_key(value)})
             limits.append(_limit_row(len(limits), limit, each))
     problems = [{"problem": f"the chain of specification documents is broken: {each.what}"} for each in chain.breaks]
     now = [row for row in limits if row["known_until_ns"] == NEVER]
@@ -106,7 +106,7 @@ def _history(chain: Chain) -> list[dict[str, object]]:
     ]
 
 
-def _key(value: Parameter) -> str:
+def parameter_key(value: Parameter) -> str:
     """Key by which parameters are compared: numbers to nine digits, everything else as its text."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"number {value:.9g}"

@@ -163,7 +163,9 @@ def _check_after(each: Specification, after: Specification) -> None:
     if _begin(after) == _begin(each):
         raise BadInput(
             f"specification {each.name}: revisions {each.revision} and {after.revision} begin to be valid at "
-            f"the same time ({format_moment(each.from_ns) or 'ever'}); give the later one its valid_from"
+            f"the same time ({format_moment(each.from_ns) or 'ever'}); give the later one its valid_from; where "
+            f"{each.revision} is wrong, withdraw it (`gyrofleet limits withdraw {each.label} --reason ...`), "
+            f"then enter {after.revision} by `gyrofleet limits add ... --rejudge`"
         )
     if each.until_ns is not None and each.until_ns > _begin(after):
         raise BadInput(

@@ -228,6 +228,7 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
 def _enter(
     file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
 ) -> None:
+    from analytics.evaluation.far_limits import far_limits
     from analytics.metric_registry.registry import metrics
     from analytics.specifications.checking import checked_specification
     from analytics.specifications.doubts import doubts_of
@@ -242,16 +243,13 @@ def _enter(
     found, is_new, proposal = add_specification(
         store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges
     )
-    doubts = doubts_of(store, found)
+    doubts = [*doubts_of(store, found), *far_limits(store, found.limits)]
     for each in doubts:
         notes().print(each, soft_wrap=True)
     if as_json:
-        proposed = {} if proposal is None else {"proposal": proposal.uid}
-        print_json(
-            {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
-            | {"doubts": doubts}
-            | proposed
-        )
+        answer = {"specification": found.name, "revision": found.revision, "limits": len(found.limits)}
+        answer |= {"new": is_new, "doubts": doubts}
+        print_json(answer if proposal is None else answer | {"proposal": proposal.uid})
         return
     if proposal is not None:
         print_proposed(proposal)
