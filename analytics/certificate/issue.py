@@ -24,7 +24,7 @@ from analytics.certificate.record import (
     sha256_of,
     waiting_certificates,
 )
-from analytics.certificate.reproduction import changed_results, check_records
+from analytics.certificate.reproduction import changed_results, changed_statements, check_records
 from analytics.certificate.statement.conformity import read_conformity
 from analytics.certificate.statement.content import Content, Facts, content_of
 from analytics.certificate.statement.departures import departures
@@ -154,7 +154,7 @@ def carry_out(catalog: Catalog, proposal: Proposal, by: Actor) -> CertificateIss
                 raise StoreError(f"{path} cannot be read: {error.strerror or error}; propose it again") from error
             if sha256_of(files[suffix]) != sha256:
                 raise StoreError(f"{path} is not the file that was proposed; reject the proposal, and propose it again")
-        if changed := changed_results(catalog, act):
+        if changed := changed_results(catalog, act) + changed_statements(catalog, act, files[".xml"]):
             raise BadInput(
                 f"the store gives other results by now than certificate {act.number} states ({'; '.join(changed)}): "
                 "reject the proposal, and propose it again"

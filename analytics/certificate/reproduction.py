@@ -1,11 +1,16 @@
-"""Whether a store still gives the results that a certificate states, from the same runs."""
+"""Whether a store still gives the results and the conformity that a certificate states, from the same runs."""
 
 import json
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from analytics.certificate.statement.results import result_of, rounded_to
+from analytics.certificate.document.digital import conformity_stated
+from analytics.certificate.record import kept_file
+from analytics.certificate.record import sha256_of as digest_of
+from analytics.certificate.statement.conformity import Judged, read_conformity
+from analytics.certificate.statement.results import result_of, result_rows, rounded_to
+from analytics.evaluation.inner_page import inner_page
 from analytics.evaluation.selection import Selection, selected
 from storage.manifests.log import read_log_manifest
 from storage.segments.disk import sha256_of
@@ -13,6 +18,9 @@ from storage.sql.catalog import Catalog
 from stream.errors import NotFound, StoreError
 from stream.events import CertificateIssued
 
+_WITHDRAWN = """
+select withdrawn from internal.withdrawn_revisions where specification = $specification and revision = $revision
+"""
 _FILES = "select distinct filename from internal.lake_channel_parts where list_contains($runs, run)"
 _Key = tuple[str, str, tuple[str, ...]]  # metric, signal, runs
 _Now = dict[str, list[tuple[float, str]]]  # values with their U, by conditions
@@ -76,3 +84,32 @@ def changed_results(catalog: Catalog, document: CertificateIssued) -> list[str]:
             what = f"{stated['name']['en']} {result['signal']}".strip() + (f" ({conditions})" if conditions else "")
             changed.append(f"{what}: stated {was[0]} (U = {was[1] or '?'}), the store gives {values or 'none'}")
     return changed
+
+
+def changed_statements(catalog: Catalog, document: CertificateIssued, digital: bytes | None = None) -> list[str]:
+    """What a certificate states of conformity and the store judges differently today, or by a revision withdrawn since.
+
+    The statements are those of its digital form, by default of the one that the store keeps.
+    """
+    if digital is None:
+        path = kept_file(catalog.store, document.number, ".xml")
+        digital = path.read_bytes() if path.is_file() else b""
+    if digest_of(digital) != document.digital_sha256:
+        return ["its digital form is not in the store: whether its statements of conformity hold is not known"]
+    stated = conformity_stated(digital)
+    rows = result_rows(inner_page(catalog, document.unit, document.standard)) if stated else ()
+    now: dict[str, dict[str, Judged]] = {}
+    changed: list[str] = []
+    for specification, revision, text, status in stated:
+        if specification not in now:
+            found = read_conformity(catalog, document.unit, specification, rows).judged
+            now[specification] = {f"{each.label.en}: ": each for each in found}
+        withdrawn = catalog.rows(_WITHDRAWN, {"specification": specification, "revision": revision})
+        changed += [f"conformity is stated by {specification}-{revision}; {each}" for (each,) in withdrawn]
+        judged = next((each for label, each in now[specification].items() if text.startswith(label)), None)
+        if judged is None:
+            changed.append(f"{text}, as stated by revision {revision}; no revision of {specification} judges it today")
+        elif judged.status != status:
+            today = f"{judged.text.en}, by revision {judged.revision}"
+            changed.append(f"{text}, as stated by revision {revision}; the store gives {today}")
+    return list(dict.fromkeys(changed))

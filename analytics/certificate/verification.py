@@ -17,8 +17,8 @@ _LARGEST_BYTES = 100_000_000
 class Verified(msgspec.Struct, frozen=True, kw_only=True):
     """What is known of a file; `why` has the reasons where it is not genuine or not valid.
 
-    `changed` lists results that the store gives differently today, empty where it gives them all; None where they were
-    not computed, as of a file that is not genuine.
+    `changed` lists results and statements of conformity that the store gives differently today, empty where it gives
+    them all; None where they were not computed, as of a file that is not genuine.
     """
 
     genuine: bool

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from importlib.resources import files
+from io import BytesIO
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element, QName, SubElement
 
@@ -80,6 +81,16 @@ def _statement(parent: Element, text: Words, clause: str, code: str) -> None:
     _add(statement, "norm", code)
     _add(statement, "reference", clause)
     _text(_add(statement, "declaration"), text)
+
+
+def conformity_stated(digital: bytes) -> list[tuple[str, str, str, str]]:
+    """The statements of conformity in a digital certificate of this store: specification, revision, text and status."""
+    names, found = {"dcc": _DCC}, []
+    for each in ET.ElementTree().parse(BytesIO(digital)).iterfind(".//dcc:statement[dcc:conformity]", names):
+        specification, _, revision = each.findtext("dcc:norm", "", names).rpartition(", revision ")
+        text = each.findtext("dcc:declaration/dcc:content[@lang='en']", "", names).partition(". Decision rule: ")[0]
+        found.append((specification, revision, text, each.findtext("dcc:conformity", "", names)))
+    return found
 
 
 def _conformity(parent: Element, found: Conformity) -> None:

@@ -126,11 +126,11 @@ def _print_issued(issued: "Issued", out: Path) -> None:
 def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> None:
     """Say whether a PDF is a certificate of this store, unchanged, and still valid; exit code 1 if not.
 
-    The results of a genuine one are computed anew from the store: those that have changed since are listed, and the
-    exit code is 1.
+    The results of a genuine one are computed anew from the store: those that have changed since are listed, as are its
+    statements of conformity that the store judges differently, or by a revision withdrawn since; the exit code is 1.
     """
     from analytics.certificate.record import read_certificates
-    from analytics.certificate.reproduction import changed_results
+    from analytics.certificate.reproduction import changed_results, changed_statements
     from analytics.certificate.statement.evidence import zone_of
     from analytics.certificate.verification import verify_certificate
 
@@ -141,7 +141,8 @@ def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> No
         )
         document = known.by_number(found.number) if found.number else None
         if document is not None:
-            found = msgspec.structs.replace(found, changed=changed_results(catalog, document))
+            changed = [*changed_results(catalog, document), *changed_statements(catalog, document)]
+            found = msgspec.structs.replace(found, changed=changed)
     if as_json:
         print_json(found)
     else:

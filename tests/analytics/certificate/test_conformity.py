@@ -68,6 +68,27 @@ def test_the_digital_certificate_has_it(judged: tuple[Path, dict[str, Any]]) -> 
     assert [each for each in declared if each.startswith("未在此判定：角度随机游走系数")] != []
 
 
+def test_a_statement_that_no_longer_holds_is_named(
+    certified: tuple[Path, dict[str, Any]], run_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The scale factor, 50 ppm above 1, conforms by revision A, does not by B, and A is withdrawn as wrong."""
+    folder = Path(shutil.copytree(certified[0], tmp_path / "copy"))
+    text = (folder / "limits.toml").read_text().replace('"A"', '"B"').replace("2026-01-01", "2026-01-02")
+    (folder / "limits.toml").write_text(text.replace("1.001", "1.00001"))
+    by = ("--reason", "typed wrong", "--by", "Wu", "--store", "lab")
+    assert run_command("limits", "revise", "limits.toml", "--rejudge", *by, cwd=folder).code == 0
+    assert run_command("limits", "withdraw", "VG-20-A", *by, cwd=folder).code == 0
+    done = run_command("certificate", "verify", "signed.pdf", "--store", "lab", "--json", cwd=folder)
+    withdrawn, judged = done.json["changed"]
+    assert (done.code, done.json["genuine"], done.json["valid"]) == (1, True, True)
+    assert withdrawn.startswith("conformity is stated by VG-20-A; VG-20-A was withdrawn on ")
+    assert withdrawn.endswith(" by Wu: typed wrong")
+    assert judged.startswith("Scale factor (rate, ")
+    assert "0.999 ... 1.001: conforms" in judged
+    assert "as stated by revision A; the store gives 0.999 ... 1.00001: does not conform" in judged
+    assert judged.endswith(", by revision B")
+
+
 @pytest.mark.long  # in the gate among other faults of an order
 def test_a_specification_that_judges_nothing_makes_a_draft(
     judged: tuple[Path, dict[str, Any]], run_command: Callable[..., Any]
