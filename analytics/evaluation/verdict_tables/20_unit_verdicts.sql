@@ -71,9 +71,16 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
     when not exists (from internal.limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
     when u.product is null then 'no limit applies to it: its product is not known'
     else 'no limit applies to it: no specification is for product ' || u.product
-  end, w.withdrawn || ', and still judges this, which was recorded before'), '') as reason
+  end, w.withdrawn || ', and still judges this, which was recorded before',
+  if(len(o.products) > 1, 'its runs are of several products: ' || array_to_string(o.products, ', '), null),
+  if(len(o.lots) > 1, 'its runs are of several lots: ' || array_to_string(o.lots, ', '), null)), '') as reason
 from known k left join judged j using (unit) left join internal.judged_units u using (unit)
 left join internal.unjudged_units n using (unit)
+left join (
+  select unit, list(distinct product order by product) filter (product is not null) as products,
+    list(distinct lot order by lot) filter (lot is not null) as lots
+  from unit_runs group by unit
+) o using (unit)
 left join (select unit, string_agg(distinct withdrawn, ', ' order by withdrawn) as withdrawn from verdicts group by unit) w
   using (unit)
 order by k.unit;

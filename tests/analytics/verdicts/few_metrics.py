@@ -5,7 +5,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from analytics.evaluation import kept_metrics
+from analytics.evaluation import budgets, kept_metrics, selection
+
+UNPATCHED = (budgets, selection)  # imported before: else they would keep the patched function
 
 
 @contextmanager

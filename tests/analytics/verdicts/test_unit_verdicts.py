@@ -183,6 +183,24 @@ def test_runs_of_a_product_without_limits_are_named_beside_those_that_are_judged
     assert "FOG-SIM" in zh
 
 
+def test_a_unit_in_two_lots_says_so(judged: Judged) -> None:
+    """Its product and lot were corrected between its runs."""
+    judged.specify(limits(BIAS))
+    runs: Rows = [
+        {"unit": unit, "run": f"r{at}", "product": product, "lot": lot, "t_start_ns": JANUARY_NS + at * DAY_NS}
+        for unit, product, lot, at in (
+            ("U1", "P1", "L1", 1),
+            ("U1", "P2", "L2", 2),
+            ("U2", "P2", "L2", 1),
+            ("U2", None, "L2", 2),
+        )
+    ]
+    values = [{"unit": row["unit"], "run": row["run"], "value": 0.0, "lo": -0.1, "hi": 0.1} for row in runs]
+    found = {row["unit"]: (row["verdict"], row["reason"]) for row in verdicts_of(judged.catalog(runs, values)).units}
+    several = "its runs are of several products: P1, P2; its runs are of several lots: L1, L2"
+    assert found == {"U1": ("PASS", several), "U2": ("PASS", None)}
+
+
 def test_a_sensitivity_over_fewer_temperatures_than_that_of_its_peers_is_named(judged: Judged) -> None:
     """U1 was never measured at 55 degC, U2 at one degree less than the others, which is nothing."""
     runs: list[dict[str, Any]] = []
