@@ -129,10 +129,12 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     if imported.added == 0:
         verb = "says" if imported.steps == 1 else "say"
         says = f"; {steps_text} in the store {verb} what was measured" if imported.steps else ""
+        says += f", {imported.steps_added} new with this import" if imported.steps_added else ""
         stated = "" if not imported.stated else (
             f" What is stated of the station is recorded for {counted(len(imported.stated), 'run')}."
         )  # fmt: skip
-        return f"Nothing to add: all {in_file:,} samples are stored already{says}.{stated}"
+        nothing = "No sample to add" if imported.steps_added else "Nothing to add"
+        return f"{nothing}: all {in_file:,} samples are stored already{says}.{stated}"
     rate = imported.added / imported.seconds
     speed = f"{imported.seconds:.2f} s" + (f", {rate / 1e6:.2f} M samples/s" if rate >= 1e5 else "")
     steps = f", {steps_text}" if imported.steps else ""

@@ -12,7 +12,8 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 
 from ingest.importing.repeated_files import ImportedFile, note_of_import
-from ingest.importing.stored import StoredSamples, check_steps
+from ingest.importing.stored import StoredSamples
+from ingest.importing.stored_steps import StoredSteps
 from ingest.importing.tested_units import tested_units
 from ingest.measurement_standards import DETAIL
 from ingest.station.units_file import UnitEntry, mounted_documents
@@ -24,16 +25,7 @@ from stream.decoding import decode_json
 from stream.defects.rate_changes import RateChange
 from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
-from stream.events import (
-    NoteAdded,
-    RunEnded,
-    RunStarted,
-    StationStated,
-    StepEnded,
-    StepStarted,
-    StreamTotal,
-    UnitMounted,
-)
+from stream.events import NoteAdded, RunEnded, RunStarted, StationStated, StepStarted, StreamTotal, UnitMounted
 from stream.identity import Place, event_key, sample_key
 
 if TYPE_CHECKING:
@@ -79,6 +71,7 @@ class FileImport:
     bad_row_count: int
     bad_rows: tuple[BadRow, ...]
     steps: int
+    steps_added: int  # new ones, and stored ones of which the file has more
     date_known: bool
     seconds: float
     signals: tuple[SignalImport, ...]
@@ -102,7 +95,6 @@ class SendingGroup:
     runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)  # first file of each, and whether it is dated
     begun: set[str] = field(default_factory=set)  # runs whose documents are sent
     named: set[tuple[str, str]] = field(default_factory=set)  # runs, and units that documents which are sent name
-    uids: set[str] = field(default_factory=set)  # steps whose documents are sent
     stated: set[str] = field(default_factory=set)  # runs whose station is corrected
 
 
@@ -145,12 +137,9 @@ class FileSending:
         self._other_names = self._stored.under_other_names(self._file)
         self._held = _held(knowledge, self.runs)
         self._known_uids = frozenset(self._stored.known.uids)
-        self._ends: dict[tuple[str | None, str, int | None], int] = {
-            (step.unit, step.run, step.t_start_ns): step.t_end_ns for step in self._stored.known.steps
-        }
         self._check_moved()
         self._stated = {run: dict(details) for run, details in self._stored.known.stated.items()}
-        check_steps(self._stored.known.steps, self.path, self._summary)
+        self._steps = StoredSteps(self._stored.known, self.path, self._summary, self._stored.moment)
         if not self._restates:
             self._check_station()
         documents = [decode_json(text, UnitMounted) for text in self._stored.known.mounted]
@@ -229,28 +218,17 @@ class FileSending:
     def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
         """Send samples and steps that the store does not have; returns how many messages that were."""
         news = 0
-        began: dict[str, int] = {}
         for item in self._file.batches(lambda unit, run: epochs[unit, run], self._stored.new, progress):
-            if isinstance(item, StepStarted):
-                began[item.uid] = item.t_ns
-            elif isinstance(item, StepEnded):
-                item = self._end_of(item, began.get(item.step_uid))
             if isinstance(item, SampleBatch):
                 sender.send_batch(sample_key(self._place, item.unit, item.signal), item)
                 self._sent[item.unit, item.run, item.signal] += len(item)
                 news += 1
-            elif item.uid not in self._known_uids and item.uid not in self._group.uids:
-                self._group.uids.add(item.uid)
-                sender.send_event(event_key(self._place), item)
+                continue
+            document = self._steps.at_start(item) if isinstance(item, StepStarted) else self._steps.at_end(item)
+            if document is not None:
+                sender.send_event(event_key(self._place), document)
                 news += 1
         return news
-
-    def _end_of(self, ended: StepEnded, began_ns: int | None) -> StepEnded:
-        """The end of a step; another document where the file has grown beyond the end that is stored."""
-        end_ns = self._ends.get((ended.unit, ended.run, began_ns))
-        if end_ns is None or end_ns >= ended.t_ns or ended.uid not in self._known_uids:
-            return ended
-        return msgspec.structs.replace(ended, uid=_uid("later end", ended.uid, str(ended.t_ns)))
 
     def missing(self, in_lake: Counter[_Name], where: str) -> str | None:
         """A sentence on samples that were sent and are not in the lake; None if all are there."""
@@ -274,7 +252,7 @@ class FileSending:
         summary = self._summary
         return FileImport(
             file=str(self.path), rows=summary.rows, bad_row_count=summary.bad_rows, bad_rows=summary.bad,
-            steps=summary.steps, date_known=summary.date_known, seconds=seconds,
+            steps=len(summary.steps), steps_added=self._steps.added, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
             counted=summary.counted, damage=summary.damage, remarks=(*warnings, *self._other_names, *summary.remarks),
             frames=getattr(summary, "frames", None), stated=tuple(self._stating),

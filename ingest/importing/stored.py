@@ -1,16 +1,14 @@
 """Comparison of a file with the store: equal samples are left out, others at the same time refused."""
 
 from collections import Counter
-from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from ingest.importing.other_names import other_names
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
-from storage.recording.knowledge import Knowledge, KnownStep
+from storage.recording.knowledge import Knowledge
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
 from stream.errors import BadInput
 
@@ -103,10 +101,10 @@ class StoredSamples:
         if differs.any():
             at = int(np.flatnonzero(differs)[0])
             value, moment_ns = stored[after][at], int(stored_ns[after][at])
-            moment = "" if moment_ns == times_ns[at] else f" at {self._moment(moment_ns)}"
+            moment = "" if moment_ns == times_ns[at] else f" at {self.moment(moment_ns)}"
             raise BadInput(
                 f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} "
-                f"with other values: at {self._moment(times_ns[at])} the file has {chunk.data[at]:.9g}, the store "
+                f"with other values: at {self.moment(times_ns[at])} the file has {chunk.data[at]:.9g}, the store "
                 f"{value:.9g}{moment} ({int(differs.sum())} such samples in this stretch); nothing was imported. If it "
                 f"is another recording, give --run"
             )
@@ -128,34 +126,13 @@ class StoredSamples:
             raise BadInput(
                 f"{self._path}: unit {chunk.unit}, signal {chunk.signal}, run {chunk.run}: {count} samples of this "
                 f"stretch are stored with the same values at slightly other times, as at "
-                f"{self._moment(int(stored_ns[nearest][at]))} for {self._moment(int(times_ns[at]))}: the file is "
+                f"{self.moment(int(stored_ns[nearest][at]))} for {self.moment(int(times_ns[at]))}: the file is "
                 "probably the same record with other digits; nothing was imported. If it is another recording, "
                 "give --run"
             )
 
-    def _moment(self, t_ns: int) -> str:
+    def moment(self, t_ns: int) -> str:
+        """A time of the file."""
         if self._summary.date_known:
             return datetime.fromtimestamp(int(t_ns) / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f UTC")
         return f"{int(t_ns) / 1e9:.9g} s"
-
-
-def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -> None:
-    """Compare the step words given for a file with the stored steps; raises BadInput if the store has another step."""
-    if summary.words is None:
-        return
-    given = msgspec.to_builtins(summary.words)
-    for unit, run in dict.fromkeys((each.unit, each.run) for each in summary.signals):
-        samplings = [each.sampling for each in summary.signals if (each.unit, each.run) == (unit, run)]
-        first_ns = min(each.t_first_ns for each in samplings)
-        last_ns = max(each.t_last_ns for each in samplings)
-        for step in steps:
-            if (step.unit, step.run) != (unit, run) or step.t_start_ns > last_ns or step.t_end_ns < first_ns:
-                continue
-            stored = {"procedure": step.procedure, "position": step.position}
-            wrong = [name for name, value in given.items() if stored.get(name) != value]
-            if wrong:
-                listed = ", ".join(f"{name} {stored.get(name) or '(not given)'}" for name in wrong)
-                raise BadInput(
-                    f"{path}: unit {unit}, run {run} has a step there already, with {listed}; what is recorded stays: "
-                    f"leave out --{wrong[0]}, or import the file under another --run"
-                )

@@ -90,7 +90,6 @@ class TableFile:
         rounded: Counter[str] = Counter()  # whole numbers that float64 cannot tell from their neighbours, by signal
         in_thousandths: dict[str, bool] = {}  # of counts, whether all that are not whole have three decimals
         tracker = StepTracker()
-        steps = 0
         procedures: set[str | None] = set()
         for good in self._good_rows(rows, progress):
             grids.add(good)
@@ -106,7 +105,6 @@ class TableFile:
                 first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
                 _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
                 if started is not None:
-                    steps += 1
                     procedures.add(started.words.procedure)
         if rows.bad_rows and not self._options.skip_bad:
             advice = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
@@ -129,7 +127,7 @@ class TableFile:
         )  # fmt: skip
         self._summary = TableSummary(
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
-            steps=steps, signals=signals, remarks=remarks,
+            steps=tracker.finish(), signals=signals, remarks=remarks,
             words=self._options.words, procedures=frozenset(procedures),
         )  # fmt: skip
         return self._summary

@@ -7,6 +7,7 @@ from typing import Protocol
 from uuid import UUID
 
 from ingest.tables.rows import BadRow
+from ingest.tables.steps import FileStep
 from ingest.tables.timing.grid import Sampling
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
@@ -38,7 +39,7 @@ class TableSummary:
     bad_rows: int  # number of bad rows; `bad` holds the first 1000
     bad: tuple[BadRow, ...]
     date_known: bool  # whether times are UTC; otherwise they count from an unknown moment
-    steps: int  # steps that the step words define
+    steps: tuple[FileStep, ...]  # that the step words define
     signals: tuple[SignalSummary, ...]
     counted: str = "rows"  # what `rows` counts, for messages
     damage: str = ""  # defect of the file whose good part is used; empty if there is none

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import NAMESPACE_URL, uuid5
 
 import msgspec
@@ -103,6 +103,23 @@ def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWord
     return StepWords(**words) if words else None
 
 
+def word_texts(words: StepWords) -> dict[str, str]:
+    """The words of a step as files name and write them.
+
+    >>> word_texts(StepWords(step="cold", rate_command_deg_per_s=-10.0))
+    {'step': 'cold', 'rate_command': '-10 deg/s'}
+    """
+    titles = {word: (title, unit) for title, (word, unit) in _NUMBER_WORDS.items()}
+    texts = {}
+    for name in words.__struct_fields__:
+        if (value := getattr(words, name)) is not None:
+            title, unit = titles.get(name, (name, None))
+            text = f"{value:g}" if isinstance(value, float) else str(value)
+            text = ("no", "yes")[value] if isinstance(value, bool) else text
+            texts[title] = f"{text} {unit}" if unit else text
+    return texts
+
+
 def with_common_words(words: StepWords | None, common: StepWords | None) -> StepWords | None:
     """Words of a step, completed by those that apply to the whole file."""
     if common is None or words is None:
@@ -111,13 +128,23 @@ def with_common_words(words: StepWords | None, common: StepWords | None) -> Step
     return msgspec.structs.replace(common, **own)
 
 
+class FileStep(NamedTuple):
+    """A step of a file: its documents."""
+
+    started: StepStarted
+    ended: StepEnded
+
+
 class StepTracker:
     """Tracks the step of every unit of every run; turns changes of its words into documents.
 
     The documents' identities are hashes of their content, so that one file gives the same documents each time.
+    `steps` are those that have ended.
     """
 
     def __init__(self) -> None:
+        self.steps: list[FileStep] = []
+        self._words: dict[StepWords, StepWords] = {}  # many steps share few
         self._open: dict[tuple[str, str], tuple[StepStarted, int]] = {}
 
     def follow(
@@ -131,6 +158,7 @@ class StepTracker:
         ended = self.close(unit, run)
         if words is None:
             return ended, None
+        words = self._words.setdefault(words, words)
         identity = msgspec.json.encode([run, unit, first_ns, words]).decode()
         started = StepStarted(run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex)
         self._open[unit, run] = started, last_ns
@@ -143,7 +171,15 @@ class StepTracker:
             return None
         started, last_ns = current
         uid = uuid5(_NAMESPACE, f"end of {started.uid}").hex
-        return StepEnded(run=run, unit=unit, t_ns=last_ns, step_uid=started.uid, uid=uid)
+        ended = StepEnded(run=run, unit=unit, t_ns=last_ns, step_uid=started.uid, uid=uid)
+        self.steps.append(FileStep(started, ended))
+        return ended
+
+    def finish(self) -> tuple[FileStep, ...]:
+        """End all steps; every step in the order of their ends."""
+        for owner in list(self._open):
+            self.close(*owner)
+        return tuple(self.steps)
 
     def is_open(self, unit: str, run: str, words: StepWords | None) -> bool:
         """Whether the unit is in a step of exactly these words (None: in no step)."""

@@ -35,12 +35,12 @@ class KnownSignal(NamedTuple):
 
 
 class KnownStep(NamedTuple):
-    """One step of a unit in a run; `t_end_ns` is its start while it is open."""
+    """One step of a unit in a run, its words as JSON; `t_end_ns` is its start while it is open."""
 
     unit: str
     run: str
-    procedure: str | None
-    position: str | None
+    uid: str
+    words: str
     t_start_ns: int
     t_end_ns: int
 
@@ -97,7 +97,8 @@ class CatalogKnowledge:
             "order by run, case kind when 'RunStarted' then -arrival_ns else arrival_ns end",
         )
         steps = of_runs(
-            'select unit, run, "procedure", position, t_start_ns, coalesce(t_end_ns, t_start_ns) from steps where'
+            "select unit, run, uid, words::varchar, t_start_ns, coalesce(t_end_ns, t_start_ns) "
+            "from internal.lake_steps where"
         )
         details: dict[str, dict[str, str]] = {}
         for run, kind, site, station, text in stated:

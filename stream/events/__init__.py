@@ -78,12 +78,14 @@ class StepStarted(Document, frozen=True, kw_only=True, tag=True):
 class StepEnded(Document, frozen=True, kw_only=True, tag=True):
     """The step whose StepStarted has uid `step_uid` ends at its last sample.
 
-    It counts only if its outcome is ``completed``; an ``interrupted`` one is measured again.
+    It counts only if its outcome is ``completed``; an ``interrupted`` one is measured again. `replaces` are steps of
+    the same words whose samples are all in it, as of a file of which the whole came later.
     """
 
     unit: str
     step_uid: str
     outcome: str = "completed"
+    replaces: tuple[str, ...] = ()
 
 
 class PowerOn(Document, frozen=True, kw_only=True, tag=True):

@@ -1,6 +1,6 @@
 """A CAN log as a file of samples: a first pass finds the sampling of each signal, a second delivers batches."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -92,9 +92,12 @@ class CanLogFile:
             found = SignalSummary(unit, self._run, signal, plan.unit_of_measure, plan.is_counts, grid.finish())
             signals.append(found)
             self._intervals.setdefault((unit, self._run, signal), found.sampling.dt_ns)
+        steps = StepTracker()
+        for unit, first_ns, last_ns in self._stretches(signals):
+            steps.follow(unit, self._run, self._words, first_ns=first_ns, last_ns=last_ns)
         self._summary = CanSummary(
             rows=counts.frames, bad_rows=0, bad=(), date_known=clock.date_known,
-            steps=0 if self._words is None else len({unit for unit, _ in grids}), signals=tuple(signals),
+            steps=steps.finish(), signals=tuple(signals),
             counted="frames", damage=self._log.damage,
             remarks=(*filter(None, [self._log.note]), *self._plan.remarks, *remarks(counts, self._log.counts),
                      *rate_change_remarks(signals), *even_losses_remarks(signals)),
@@ -126,7 +129,7 @@ class CanLogFile:
         found = {(each.unit, each.signal): each for each in summary.signals}
         batchers: dict[_Name, Batcher] = {}
         steps = StepTracker()
-        for unit, first_ns, last_ns in self._stretches(summary):
+        for unit, first_ns, last_ns in self._stretches(summary.signals):
             yield from filter(None, steps.follow(unit, self._run, self._words, first_ns=first_ns, last_ns=last_ns))
         for piece in self._pieces(CanSamples(self._plan), RunClock(self._start_ns), progress):
             name = (piece.route.unit, piece.plan.signal)
@@ -144,15 +147,15 @@ class CanLogFile:
             yield from batchers[name].push(times_ns, data)
         for batcher in batchers.values():
             yield from batcher.flush()
-        for unit, _, _ in self._stretches(summary):
+        for unit, _, _ in self._stretches(summary.signals):
             yield from filter(None, [steps.close(unit, self._run)])
 
-    def _stretches(self, summary: CanSummary) -> Iterator[tuple[str, int, int]]:
+    def _stretches(self, signals: Sequence[SignalSummary]) -> Iterator[tuple[str, int, int]]:
         """First and last sample of each unit, nanoseconds; none without step words."""
         if self._words is None:
             return
-        for unit in dict.fromkeys(each.unit for each in summary.signals):
-            samplings = [each.sampling for each in summary.signals if each.unit == unit]
+        for unit in dict.fromkeys(each.unit for each in signals):
+            samplings = [each.sampling for each in signals if each.unit == unit]
             yield unit, min(each.t_first_ns for each in samplings), max(each.t_last_ns for each in samplings)
 
     def _nominal_ns(self, piece: SignalPiece, intervals_ns: IntArray, measured_ns: int) -> int:

@@ -132,35 +132,44 @@ where kind = 'CheckEntered' and uid not in (
   group by all having arg_max(document->>'$.action', (arrival_ns, t_ns, uid)) = 'excluded'
 );
 
+-- A file that goes on from a step ends it again, and names the steps whose samples are all in it.
+create or replace view internal.lake_steps as
+with ended as (
+  select *, document->>'$.step_uid' as step_uid from internal.lake_documents where kind = 'StepEnded'
+)
+select b.run, b.unit, b.uid, b.document->'$.words' as words, b.t_ns as t_start_ns, e.t_ns as t_end_ns,
+  case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome
+from (select * from internal.lake_documents where kind = 'StepStarted') b
+left join (
+  from ended qualify row_number() over (partition by run, unit, step_uid order by t_ns desc, uid) = 1
+) e on e.run = b.run and e.unit = b.unit and e.step_uid = b.uid
+anti join (
+  select run, unit, unnest(from_json(document->'$.replaces', '["varchar"]')) as uid
+  from ended where (document->'$.replaces') is not null
+) r on r.run = b.run and r.unit = b.unit and r.uid = b.uid;
+
 create or replace view steps as
 select
-  b.run, b.unit,
-  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may start at one time
-  b.document->>'$.words.procedure' as "procedure",
-  b.document->>'$.words.step' as step,
-  try_cast(b.document->>'$.words.repeat' as bigint) as repeat,
-  b.document->>'$.words.position' as position,
-  b.document->>'$.words.axis' as axis,
-  b.document->>'$.words.phase' as phase,
-  (b.document->>'$.words.rate_command_deg_per_s')::double as rate_command,
-  (b.document->>'$.words.temperature_command_deg_c')::double as temperature_command,
-  (b.document->>'$.words.frequency_hz')::double as frequency,
-  (b.document->>'$.words.amplitude')::double as amplitude,
-  (b.document->>'$.words.settle_s')::double as settle,
-  (b.document->>'$.words.room')::boolean as room,
-  make_timestamp_ns(b.t_ns) as started,
-  make_timestamp_ns(e.t_ns) as ended,
-  case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome,
+  run, unit,
+  row_number() over (partition by run, unit order by t_start_ns, s.uid) as "index",  -- two may start at one time
+  words->>'$.procedure' as "procedure",
+  words->>'$.step' as step,
+  try_cast(words->>'$.repeat' as bigint) as repeat,
+  words->>'$.position' as position,
+  words->>'$.axis' as axis,
+  words->>'$.phase' as phase,
+  (words->>'$.rate_command_deg_per_s')::double as rate_command,
+  (words->>'$.temperature_command_deg_c')::double as temperature_command,
+  (words->>'$.frequency_hz')::double as frequency,
+  (words->>'$.amplitude')::double as amplitude,
+  (words->>'$.settle_s')::double as settle,
+  (words->>'$.room')::boolean as room,
+  make_timestamp_ns(t_start_ns) as started,
+  make_timestamp_ns(t_end_ns) as ended,
+  outcome,
   x.reason as excluded,
-  b.t_ns as t_start_ns,
-  e.t_ns as t_end_ns
-from (select * from internal.lake_documents where kind = 'StepStarted') b
-left join (                             -- a file that has grown ends its last step again
-  select * from internal.lake_documents where kind = 'StepEnded'
-  qualify row_number() over (partition by run, unit, document->>'$.step_uid' order by t_ns desc, uid) = 1
-) e
-  on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid
-left join exclusions x on x.run = b.run and x.unit = b.unit;
+  t_start_ns, t_end_ns
+from internal.lake_steps s left join exclusions x using (run, unit);
 
 create or replace view estimates as
 select

@@ -97,7 +97,9 @@ def test_what_was_left_out_is_stated_by_the_same_command(ask: Callable[..., Outc
     assert "has samples, but no completed step says what was measured: import its files again" in reported.err
     later = ("import", "later.csv", "--unit", "U-LATER", "--start", START)
     assert "No step says what was measured" in both(ask(*later))
-    assert "stored already; 1 step in the store says what was measured." in both(ask(*later, *UP))
+    assert "stored already; 1 step in the store says what was measured, 1 new with this import." in both(
+        ask(*later, *UP)
+    )
     assert "No step says what was measured" not in both(ask(*later))
     assert biases(ask, "U-LATER")["removed"]["value"] is None
     reported = ask(*later, "--procedure", "static_bias", "--position", "IRA_east", code=1)
@@ -142,7 +144,7 @@ def test_words_that_a_column_says_too_are_refused(ask: Callable[..., Outcome], t
 @pytest.mark.long
 def test_words_that_no_procedure_has_are_told(ask: Callable[..., Outcome]) -> None:
     known = ("import", "known.csv", "--unit", "U-WORDS", "--start", START)
-    assert "warning" not in both(ask(*known, "--run", "w1", *UP))
+    assert "warning: --" not in both(ask(*known, "--run", "w1", *UP))
     reported = ask(*known, "--run", "w2", "--procedure", "static_bais", "--position", "IRA_sideways").err
     assert "warning: --procedure static_bais is none of gyrofleet's" in reported
     assert ", did you mean static_bias? the step is judged by its position alone" in reported

@@ -56,7 +56,7 @@ def test_steps_of_a_calibration_session(deliver: Tool, samples: Tool) -> None:
 def test_bursts_stay_bursts(deliver: Tool) -> None:
     table = TableFile(DATA / "psim_cold_chamber.parquet", G1)
     summary = table.check()
-    assert summary.steps == 25
+    assert len(summary.steps) == 25
     kinds = {found.signal: found.is_counts for found in summary.signals}
     assert [signal for signal, is_counts in kinds.items() if is_counts] == ["temperature"]
     assert {(found.sampling.gaps, found.sampling.irregular) for found in summary.signals} == {(24, True)}

@@ -87,7 +87,8 @@ def test_rejected_messages_take_bounded_room_on_the_disk(tmp_path: Path, monkeyp
     (segment,) = store.log.glob("*.mcap")
     kept = [record.data for record in read_segment(segment) if record.schema == REJECTED]
     assert [len(data) for data in kept] == [MAX_REJECT_BYTES] * 10
-    assert segment.stat().st_size < 11 * MAX_REJECT_BYTES
+    # the rest is the schemas, of samples and of all kinds of documents, and the index
+    assert segment.stat().st_size < 12 * MAX_REJECT_BYTES
 
 
 def test_no_memory_is_not_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
