@@ -50,6 +50,7 @@ def _report(imported: "FileImport", folder: Path) -> None:
         )  # fmt: skip
     results().print(table)
     results().print(_conclusion(imported, folder))
+    _report_restated(imported)
     _report_damage(imported)
 
 
@@ -64,7 +65,13 @@ def _report_briefly(imported: "FileImport") -> None:
     results().print(line + (f"; {others} remarks, --json lists them" if others else ""), soft_wrap=True)
     for warning in warnings:
         notes().print(f"{imported.file}: {warning}", soft_wrap=True)
+    _report_restated(imported)
     _report_damage(imported)
+
+
+def _report_restated(imported: "FileImport") -> None:
+    for each in imported.restated:
+        notes().print(f"{imported.file}: {each}", soft_wrap=True)
 
 
 def _report_damage(imported: "FileImport") -> None:
@@ -130,8 +137,8 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
         verb = "says" if imported.steps == 1 else "say"
         says = f"; {steps_text} in the store {verb} what was measured" if imported.steps else ""
         says += f", {imported.steps_added} new with this import" if imported.steps_added else ""
-        stated = "" if not imported.stated else (
-            f" What is stated of the station is recorded for {counted(len(imported.stated), 'run')}."
+        stated = "" if not imported.restated else (
+            f" What is stated of the station is recorded for {counted(len(imported.restated), 'run')}."
         )  # fmt: skip
         nothing = "No sample to add" if imported.steps_added else "Nothing to add"
         return f"{nothing}: all {in_file:,} samples are stored already{says}.{stated}"

@@ -12,10 +12,11 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 
 from ingest.importing.repeated_files import ImportedFile, note_of_import
+from ingest.importing.shared_runs import Span, are_apart, other_tests, refuse_shared, warning_of_shared
+from ingest.importing.station_details import Restated, check_details, restated
 from ingest.importing.stored import StoredSamples
 from ingest.importing.stored_steps import StoredSteps
 from ingest.importing.tested_units import tested_units
-from ingest.measurement_standards import DETAIL
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
@@ -80,7 +81,7 @@ class FileImport:
     damage: str = ""
     remarks: tuple[str, ...] = ()
     frames: "CanCounts | None" = None
-    stated: tuple[str, ...] = ()  # stored runs whose station this file states
+    restated: tuple[Restated, ...] = ()  # stored runs whose station this file states
 
     @property
     def added(self) -> int:
@@ -93,6 +94,7 @@ class SendingGroup:
     """State shared by files that are sent together."""
 
     runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)  # first file of each, and whether it is dated
+    spans: dict[str, Span] = field(default_factory=dict)  # first and last sample of each run, nanoseconds
     begun: set[str] = field(default_factory=set)  # runs whose documents are sent
     named: set[tuple[str, str]] = field(default_factory=set)  # runs, and units that documents which are sent name
     stated: set[str] = field(default_factory=set)  # runs whose station is corrected
@@ -116,7 +118,8 @@ class FileSending:
         self.runs = sorted(self._of)  # that it has samples of
         self._sent: Counter[_Name] = Counter()
         self._is_sent = False
-        self._stating: list[str] = []
+        self._restated: list[Restated] = []
+        self._warnings: list[str] = []
 
     def join(self, group: SendingGroup) -> None:
         """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
@@ -129,6 +132,11 @@ class FileSending:
                     f"{undated}: its times count from the start of run {run}, whose date {dated} gives; give --start, "
                     f"or import the files with another --run each"
                 )
+            span = self._first_ns(run), self._last_ns(run)
+            before = group.spans.setdefault(run, span)
+            if is_dated and self._summary.is_run_by_name and are_apart(before, span):
+                raise refuse_shared(self.path, run, f"the samples of {path} too")
+            group.spans[run] = min(before[0], span[0]), max(before[1], span[1])
 
     def compare(self, knowledge: Knowledge) -> None:
         """Compare the file with the store; raises BadInput if they contradict each other."""
@@ -140,24 +148,24 @@ class FileSending:
         self._check_moved()
         self._stated = {run: dict(details) for run, details in self._stored.known.stated.items()}
         self._steps = StoredSteps(self._stored.known, self.path, self._summary, self._stored.moment)
-        if not self._restates:
-            self._check_station()
+        self._check_shared()
         documents = [decode_json(text, UnitMounted) for text in self._stored.known.mounted]
         self._last_mounted = {(each.run, each.unit): each for each in documents}
 
-    def _check_station(self) -> None:
-        """Refuse details of a station that differ from the stored ones: values would change silently."""
-        for run in self.runs:
-            stored = self._stated.get(run, {})
-            for name, value in self._about.items():
-                if stored.get(name, value) != value:
-                    differs = f"{name} {stored[name]}, now it is {value}"
-                    if name == DETAIL:
-                        differs = "other measurement standards than the station's file states now"
-                    raise BadInput(
-                        f"{self.path}: run {run} is stored with {differs}; what is stored stays. To correct it, and "
-                        f"all values that rest on it, give --restate"
-                    )
+    def _check_shared(self) -> None:
+        """Refuse a run that the file's name gives to another day; warn of one that it gives to other units."""
+        signals = self._stored.known_signals
+        for run, own in self._of.items():
+            stored = [each for each in signals if each.run == run]
+            others = other_tests(stored, own, is_dated=self._summary.date_known)
+            zone = self._stated.get(run, {}).get("time_zone") or self._about.get("time_zone")
+            if self._summary.is_run_by_name and others.are_apart:
+                raise refuse_shared(self.path, run, others.text(zone))
+            if not self._restates:
+                check_details(self.path, run, self._stated.get(run, {}), self._about, others)
+            warning = warning_of_shared(run, others, self._summary, zone)
+            if warning is not None and not {each.unit for each in stored} & set(self._units_of(run)):
+                self._warnings.append(warning)
 
     def _check_moved(self) -> None:
         """Refuse a file whose rows a run has at other times: each would be there twice."""
@@ -200,10 +208,11 @@ class FileSending:
                 self._group.named |= {(run, unit) for unit in started.units}
                 send(started)
             elif run in self._stated and self._about.items() - self._stated[run].items():
-                self._stated[run] |= self._about
+                before, self._stated[run] = self._stated[run], self._stated[run] | self._about
                 if run not in self._group.stated:
                     self._group.stated.add(run)
-                    self._stating.append(run)
+                    units = sorted({unit for unit, of, _ in self._held if of == run})
+                    self._restated.append(restated(run, units, before, self._about))
                     send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run]))
             for mounted in self._mounted(run):
                 self._group.named.add((run, mounted.unit))
@@ -254,8 +263,9 @@ class FileSending:
             file=str(self.path), rows=summary.rows, bad_row_count=summary.bad_rows, bad_rows=summary.bad,
             steps=len(summary.steps), steps_added=self._steps.added, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
-            counted=summary.counted, damage=summary.damage, remarks=(*warnings, *self._other_names, *summary.remarks),
-            frames=getattr(summary, "frames", None), stated=tuple(self._stating),
+            counted=summary.counted, damage=summary.damage,
+            remarks=(*warnings, *self._warnings, *self._other_names, *summary.remarks),
+            frames=getattr(summary, "frames", None), restated=tuple(self._restated),
         )  # fmt: skip
 
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:

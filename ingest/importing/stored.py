@@ -23,10 +23,10 @@ class StoredSamples:
         self._knowledge, self._path, self._summary = knowledge, path, summary
         self._signals: dict[_Name, SignalSummary] = {(s.unit, s.run, s.signal): s for s in summary.signals}
         names = sorted({s.run for s in summary.signals})
-        self._known_signals = knowledge.signals(names)
+        self.known_signals = knowledge.signals(names)
         self._stored = {
             (known.unit, known.run, known.signal): (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
-            for known in self._known_signals
+            for known in self.known_signals
         }
         self.known = knowledge.runs(names)
         self.runs, self.open_runs = self.known.dated, set(self.known.open)
@@ -50,7 +50,7 @@ class StoredSamples:
 
     def under_other_names(self, file: SampleFile) -> list[str]:
         """Warnings on signals of the file that are stored under another name."""
-        return other_names(self._knowledge, self._known_signals, self._summary.signals, file)
+        return other_names(self._knowledge, self.known_signals, self._summary.signals, file)
 
     def new(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
         """Mask of the samples that are not stored; `check` has found the others equal."""

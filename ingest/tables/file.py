@@ -129,6 +129,7 @@ class TableFile:
             rows=rows.rows, bad_rows=rows.bad_rows, bad=tuple(rows.bad), date_known=rows.clock.date_known,
             steps=tracker.finish(), signals=signals, remarks=remarks,
             words=self._options.words, procedures=frozenset(procedures),
+            is_run_by_name=self._options.run is None and self._columns.run is None,
         )  # fmt: skip
         return self._summary
 

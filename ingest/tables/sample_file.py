@@ -46,6 +46,7 @@ class TableSummary:
     remarks: tuple[str, ...] = ()  # sentences for the user
     words: StepWords | None = None  # step words that apply to all rows
     procedures: frozenset[str | None] = frozenset()  # those of the steps
+    is_run_by_name: bool = False  # whether the run is named after the file
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class CanLogFile:
         self._path = path
         self._log = CanLog(path, time_zone)
         self._plan = plan if isinstance(plan, CanPlan) else plan.plan(self._occurring)
-        self._run = check_name("run", path.stem if run is None else run)
+        self._run, self._is_run_by_name = check_name("run", path.stem if run is None else run), run is None
         self._start_ns, self._words = start_ns, words
         self._intervals = {} if intervals is None else intervals
         self._stamp = FileStamp(path)
@@ -101,7 +101,7 @@ class CanLogFile:
             counted="frames", damage=self._log.damage,
             remarks=(*filter(None, [self._log.note]), *self._plan.remarks, *remarks(counts, self._log.counts),
                      *rate_change_remarks(signals), *even_losses_remarks(signals)),
-            frames=counts, words=self._words,
+            frames=counts, words=self._words, is_run_by_name=self._is_run_by_name,
         )  # fmt: skip
         return self._summary
 
