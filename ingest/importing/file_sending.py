@@ -168,16 +168,23 @@ class FileSending:
                 self._warnings.append(warning)
 
     def _check_moved(self) -> None:
-        """Refuse a file whose rows a run has at other times: each would be there twice."""
+        """Refuse a file whose samples a run has at other times: each would be there twice."""
         for run, signals in self._of.items():
             names = [(each.unit, run, each.signal) for each in signals]
-            if any(self._common[name] for name in names) or not all(self._held[name] for name in names):
+            if any(self._common[name] for name in names):
                 continue
-            if self._started(run, self._content).uid in self._known_uids:
-                raise BadInput(
-                    f"{self.path}: run {run} has this very file at other times; what is stored stays, and its rows "
-                    "would be there twice. With another --start or --time-zone, import it as another run: --run NAME"
-                )
+            if all(self._held[name] for name in names) and self._started(run, self._content).uid in self._known_uids:
+                raise self._moved(run, "this very file at other times")
+            for unit in dict.fromkeys(each.unit for each in signals):
+                if (shift := self._stored.shifted(self._file, (unit, run))) is not None:
+                    raise self._moved(run, f"of unit {unit} {shift}")
+
+    def _moved(self, run: str, what: str) -> BadInput:
+        return BadInput(
+            f"{self.path}: run {run} has {what}; what is stored stays, and its rows would be there twice. With another "
+            "--start or --time-zone, import it as another run: --run NAME; if the stored one is wrong, leave that run "
+            f"out (`gyrofleet runs exclude {run} --reason ...`)"
+        )
 
     @property
     def content(self) -> ImportedFile | None:

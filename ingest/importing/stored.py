@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ingest.importing.other_names import other_names
+from ingest.importing.shifted_copies import Shift, shift_of, shift_of_all
+from ingest.importing.tested_units import may_be_output
 from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
@@ -47,6 +49,14 @@ class StoredSamples:
             if self._overlaps(name):
                 common[name] += self._check_chunk(chunk)
         return common
+
+    def shifted(self, file: SampleFile, owner: tuple[str, str]) -> Shift | None:
+        """How all outputs of a unit in a run are stored at other times; None if one is not, or none is of a gyro."""
+        known = {(each.unit, each.run, each.signal): each for each in self.known_signals}
+        outputs = [name for name, own in self._signals.items() if name[:2] == owner and may_be_output(own)]
+        if not outputs or not all(name in known for name in outputs):
+            return None
+        return shift_of_all(self._knowledge, {name: known[name] for name in outputs}, file)
 
     def under_other_names(self, file: SampleFile) -> list[str]:
         """Warnings on signals of the file that are stored under another name."""
@@ -102,11 +112,19 @@ class StoredSamples:
             at = int(np.flatnonzero(differs)[0])
             value, moment_ns = stored[after][at], int(stored_ns[after][at])
             moment = "" if moment_ns == times_ns[at] else f" at {self.moment(moment_ns)}"
+            known = next(
+                each for each in self.known_signals
+                if (each.unit, each.run, each.signal) == (chunk.unit, chunk.run, chunk.signal)
+            )  # fmt: skip
+            shift = shift_of(self._knowledge, known, chunk)
+            advice = "If it is another recording, give --run" if shift is None else (
+                f"The store has {shift}: the same recording, with another --start or --time-zone"
+            )  # fmt: skip
             raise BadInput(
                 f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} "
                 f"with other values: at {self.moment(times_ns[at])} the file has {chunk.data[at]:.9g}, the store "
-                f"{value:.9g}{moment} ({int(differs.sum())} such samples in this stretch); nothing was imported. If it "
-                f"is another recording, give --run"
+                f"{value:.9g}{moment} ({int(differs.sum())} such samples in this stretch); nothing was imported. "
+                f"{advice}"
             )
         return int(same_time.sum())
 

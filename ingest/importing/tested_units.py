@@ -27,10 +27,11 @@ def is_instrument_name(signal: str) -> bool:
 
 def tested_units(signals: Iterable[SignalSummary]) -> list[str]:
     """Units of which a signal may be the output of a gyro, by its unit of measure or its name."""
-    return list(dict.fromkeys(each.unit for each in signals if _may_be_output(each)))
+    return list(dict.fromkeys(each.unit for each in signals if may_be_output(each)))
 
 
-def _may_be_output(signal: SignalSummary) -> bool:
+def may_be_output(signal: SignalSummary) -> bool:
+    """Whether a signal may be the output of a gyro, by its unit of measure or its name."""
     if is_instrument_name(signal.signal):
         return False
     if _OUTPUT.search(signal.signal.lower()) is not None or signal.unit_of_measure in _COUNTS:

@@ -1,7 +1,8 @@
 -- Names that are probably one unit: alike but for letter case, spaces, hyphens, dots and underscores. And units of which
 -- the last run has an output that nothing judges, beside others that are judged. And units with a record that stands
--- under another name as well: as many samples of one output with the same mean and standard deviation to nine digits.
--- And units of which people have excluded runs. And units of which runs are of another product than the last one, for which there are no limits. And units whose
+-- under another name, or in another step of its run, as well: as many samples of one output with the same mean and
+-- standard deviation to nine digits. And units of which people have excluded runs.
+-- And units of which runs are of another product than the last one, for which there are no limits. And units whose
 -- sensitivity to temperature was measured over a narrower range, by 5 degC or more, than that of half of the units of
 -- their product.
 
@@ -27,12 +28,20 @@ with each_run as materialized (
 ), last_product as materialized (
   select unit, arg_max(product, t_start_ns) as product from each_run where product is not null group by unit
 ), copied as (
-  select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records
+  select signal, list(distinct {unit: unit, run: run} order by {unit: unit, run: run}) as records,
+    list(distinct {unit: unit, run: run, step: "index"} order by {unit: unit, run: run, step: "index"}) as steps
   from step_means left join internal.rate_units r using (unit_of_measure)
   where n >= 30 and sd > 0
     and (is_output_name(signal) or (r.deg_per_h is not null and not is_instrument_name(signal)))
   group by signal, n, printf('%.9g %.9g', mean * coalesce(r.deg_per_h, 1), sd * coalesce(r.deg_per_h, 1))
-  having count(distinct (unit, run)) > 1
+  having count(*) > 1
+), within as (
+  select record.unit, record.run, count(*) as copies, list(record.step order by record.step) as steps
+  from (select row_number() over () as record_id, steps from copied), unnest(steps) each_step(record)
+  group by record_id, record.unit, record.run having count(*) > 1
+), within_runs as (
+  select unit, count(distinct run) as runs, arg_min(run, run) as run, arg_min(steps, (run, steps)) as steps
+  from within group by unit
 ), copy as (
   select distinct own.record as own, other.record as other
   from copied, unnest(records) own(record), unnest(records) other(record) where own.record <> other.record
@@ -74,6 +83,14 @@ select unit, list_filter(others, lambda name: name <> unit),
   '有 ' || runs || ' 次试验与另一次采样相同（试验 ' || first.own || ' 即产品 ' || first.unit || ' 的试验 ' || first.run
     || '）：同一测量记在多个名下，在判定与趋势中重复计入'
 from copies
+union all
+select unit, [],
+  'has the same samples in several steps of ' || if(runs = 1, 'run ', runs || ' runs, as in run ') || run || ' (steps '
+    || array_to_string(steps[:4], ', ') || if(len(steps) > 4, ', ...', '') || '): one measurement counts several times in its '
+    || 'values; the file was probably imported at two times',
+  '在' || if(runs = 1, '试验 ', ' ' || runs || ' 次试验中，如试验 ') || run || ' 的多个步骤（'
+    || array_to_string(steps[:4], '、') || if(len(steps) > 4, '等', '') || '）中采样相同：同一测量重复计入其结果，文件可能以两个时间导入过'
+from within_runs
 union all
 select l.unit, [],
   'its last run, ' || l.run || ', has no completed step: nothing above is of it; import it again with --procedure and --position',
