@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from analytics.event_words import kind_name, summary
+from ingest.station.units_file import COLUMNS
 from storage.manifests.part import with_sources
 from storage.sql.catalog import Catalog
 from stream.decoding import decode_json
@@ -27,6 +28,7 @@ select kind, nullif(run, '') as run, nullif(unit, '') as unit, site, station, t_
   regexp_extract(filename, '([^/]+)/[^/]+$', 1) as part
 from internal.lake_documents where {AUDITED} order by arrival_ns, t_ns, uid
 """  # noqa: S608  our own statement
+_MOST_CHARACTERS = 60  # of a value that changes: measurement standards are long
 _BY = ("by", "author", "operator")
 _COLUMNS = (
     "arrival", "at", "kind", "event", "run", "station", "by", "identity", "what", "limits", "software", "segments",
@@ -38,7 +40,8 @@ class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
     """One document: its time and arrival (UTC), who entered it, what it says, and the log segments that hold it.
 
     `identity` is whom a certificate or a sign-in has proved, ``unauthenticated`` where nobody; empty where the document
-    is no act of a person, or of a version that did not record it.
+    is no act of a person, or of a version that did not record it. `changes` are what it corrects of the station of its
+    run, or of its unit: each detail before (null where it was not given) and from then on.
     """
 
     at: str
@@ -54,6 +57,7 @@ class AuditRow(msgspec.Struct, frozen=True, kw_only=True):
     segments: dict[str, str]  # name and SHA-256
     uid: str
     document: dict[str, Any]
+    changes: dict[str, tuple[str | None, str | None]] = msgspec.field(default_factory=dict)
 
 
 def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
@@ -66,8 +70,10 @@ def audit_of(catalog: Catalog, unit: str) -> list[AuditRow]:
 
 
 def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> Iterator[AuditRow]:
+    before: dict[tuple[str, ...], dict[str, str]] = {}
     for kind, run, _, site, station, t_ns, arrival_ns, uid, text, part in catalog.rows(_ROWS, {"unit": unit}):
         document = decode_json(text)
+        changes = _changes(document, before)
         details = document.get("details") or {}
         yield AuditRow(
             at=_moment(t_ns), arrival=_moment(arrival_ns), kind=kind, run=run, station=f"{site}/{station}",
@@ -75,8 +81,27 @@ def _rows(catalog: Catalog, unit: str, sources: dict[str, dict[str, str]]) -> It
             identity=str(document.get("identity", "")), what=summary(document),
             limits=str(document.get("revision", "")) if kind == "LimitsApplied" else "",
             software=str(document.get("software") or details.get("software") or ""),
-            segments=sources.get(part, {}), uid=uid, document=document,
+            segments=sources.get(part, {}), uid=uid, document=document, changes=changes,
         )  # fmt: skip
+
+
+def _changes(
+    document: dict[str, Any], before: dict[tuple[str, ...], dict[str, str]]
+) -> dict[str, tuple[str | None, str | None]]:
+    """What a document corrects of the station of its run or of a unit; `before` has what was last stated of each."""
+    kind, run = document["kind"], str(document.get("run", ""))
+    if kind not in {"RunStarted", "StationStated", "UnitMounted"}:
+        return {}
+    stated = {name: str(value) for name, value in (document.get("details") or {}).items()}
+    if kind == "UnitMounted":
+        stated |= {name: str(document[name]) for name in COLUMNS[1:] if document.get(name) is not None}
+    of = (run, str(document["unit"])) if kind == "UnitMounted" else (run,)
+    last = before.get(of)
+    before[of] = stated if kind != "RunStarted" or last is None else last
+    if last is None or kind == "RunStarted":
+        return {}
+    names = dict.fromkeys([*last, *stated])
+    return {name: (last.get(name), stated.get(name)) for name in names if last.get(name) != stated.get(name)}
 
 
 def write_audit(rows: Iterable[AuditRow], path: Path, language: str = "en") -> None:
@@ -99,7 +124,14 @@ def write_audit(rows: Iterable[AuditRow], path: Path, language: str = "en") -> N
 
 def spoken(row: AuditRow, language: str) -> str:
     """What a row says in a language."""
-    return summary(row.document, language)
+    none, comma = ("（未给出）", "，") if language == "zh" else ("(not given)", ", ")
+    values = {name: [_short(each) if each is not None else none for each in pair] for name, pair in row.changes.items()}
+    corrected = [f"{name} {old} -> {new}" for name, (old, new) in values.items()]
+    return comma.join(filter(None, [summary(row.document, language), *corrected]))
+
+
+def _short(value: str) -> str:
+    return value if len(value) <= _MOST_CHARACTERS else f"{value[:_MOST_CHARACTERS]}..."
 
 
 def _moment(t_ns: int) -> str:

@@ -10,6 +10,7 @@ import click
 from ingest.commands.import_report import LISTED_FILES, report_files
 from stream.errors import BadInput
 from stream.mistakes import near_name
+from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.terminal.console import (
     estimates_option,
@@ -70,6 +71,10 @@ _PATH = click.Path(path_type=Path)
 )
 @click.option("--altitude", "altitude_m", type=float, help="Of the station, m: gives g, together with the latitude.")
 @click.option("--restate", "restates", is_flag=True, help="Replace what the store has of the station.")
+@click.option(
+    "--by", help="Who states it (--units, --restate); by default the user of the system, with --security whom the "
+    "certificate names.",
+)  # fmt: skip
 @click.option("--connect", help="Send to a `gyrofleet record` at this endpoint instead of recording in this process.")
 @click.option("--listen", help="Let subscribers connect at this endpoint during the import.")
 @estimates_option
@@ -79,8 +84,8 @@ def import_files(
     files: tuple[Path, ...], folder: Path, unit: str | None, run: str | None, start: str | None,
     sample_rate_hz: float | None, renames: tuple[str, ...], databases: tuple[Path, ...], mapping: Path | None,
     variants: tuple[str, ...], units_file: str | None, procedure: str | None, position: str | None, site: str | None,
-    station: str | None, connect: str | None, listen: str | None, estimated: tuple[str, ...], *, skip_bad: bool,
-    restates: bool, as_json: bool, **location: Any,
+    station: str | None, by: str | None, connect: str | None, listen: str | None, estimated: tuple[str, ...], *,
+    skip_bad: bool, restates: bool, as_json: bool, **location: Any,
 ) -> None:  # fmt: skip
     """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
 
@@ -108,6 +113,7 @@ def import_files(
 
     if connect and listen:
         raise BadInput("give --connect or --listen, not both: with --connect it is the recorder that listens")
+    actor = acting(by)
     place, about = _stated_place(site, station, location)
     words = StepWords(procedure=procedure or None, position=position or None)
     options = TableOptions(
@@ -140,7 +146,7 @@ def import_files(
         imported = list(
             import_checked(
                 checked, folder, place, connect=connect, listen=[listen] if listen else (), units=entries, about=about,
-                restates=restates, estimated=EstimatedSignals.named(estimated), progress=show,
+                restates=restates, by=actor, estimated=EstimatedSignals.named(estimated), progress=show,
             )
         )  # fmt: skip
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ingest.importing.file_sending import FileImport
 
 LISTED_FILES = 10
-_LISTED_BAD_ROWS = 20
+_LISTED_BAD_ROWS = 5
 _LISTED_REMARKS = 20
 _FEWEST_SAMPLES, _FEWEST_OF_FIT = 3, 64  # of an Allan deviation, and of a noise fit
 

@@ -28,6 +28,7 @@ from stream.delivery.publisher import Sender
 from stream.errors import BadInput, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted, StationStated, StepStarted, StreamTotal, UnitMounted
 from stream.identity import Place, event_key, sample_key
+from stream.security.actor import Actor
 
 if TYPE_CHECKING:
     from ingest.can.summary import CanCounts
@@ -104,10 +105,12 @@ class FileSending:
     """Transfer of one file: joined to its group, compared with the store, sent, counted; see `import_files`."""
 
     def __init__(
-        self, checked: CheckedFile, place: Place, entries: Sequence[UnitEntry], about: Mapping[str, str], restates: bool
-    ) -> None:
+        self, checked: CheckedFile, place: Place, entries: Sequence[UnitEntry], about: Mapping[str, str],
+        restates: bool, by: Actor | None = None,
+    ) -> None:  # fmt: skip
         self.path, self._file, self._summary, self.checking_s = checked
         self._place, self._about, self._restates = place, dict(about), restates
+        self._by = {} if by is None else {"by": by.name, "identity": by.identity}
         self.station = place.station
         self._entries = {entry.serial: entry for entry in entries}
         self.spent_s = self.checking_s
@@ -220,7 +223,7 @@ class FileSending:
                     self._group.stated.add(run)
                     units = sorted({unit for unit, of, _ in self._held if of == run})
                     self._restated.append(restated(run, units, before, self._about))
-                    send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run]))
+                    send(StationStated(run=run, t_ns=self._first_ns(run), details=self._stated[run], **self._by))
             for mounted in self._mounted(run):
                 self._group.named.add((run, mounted.unit))
                 send(mounted)
@@ -320,7 +323,8 @@ class FileSending:
         ]
         documents = mounted_documents(entries, run, self._first_ns(run))
         later = [_following(each, self._last_mounted.get((run, each.unit))) for each in documents]
-        return [each for each in later if each is not None]
+        found = [each for each in later if each is not None]
+        return [msgspec.structs.replace(each, **self._by) if each.unit in self._entries else each for each in found]
 
     def _new_units(self, run: str) -> set[str]:
         """Tested units that the run gets from this file, and that nothing names."""
@@ -364,7 +368,7 @@ def _following(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | None
     """The document, dated after the `last` one; None if that has the same content."""
     if last is None:
         return new
-    if msgspec.structs.replace(new, t_ns=last.t_ns, uid=last.uid) == last:
+    if msgspec.structs.replace(new, t_ns=last.t_ns, uid=last.uid, by=last.by, identity=last.identity) == last:
         return None
     return msgspec.structs.replace(new, t_ns=max(new.t_ns, last.t_ns), uid=_uid("mounted", new.uid, last.uid))
 

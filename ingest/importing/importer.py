@@ -18,6 +18,7 @@ from storage.store import Store
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import StoreError
 from stream.identity import Place
+from stream.security.actor import Actor
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 
@@ -30,7 +31,8 @@ _ESTIMATE_EVERY_S = 3600.0
 def import_files(
     checked: Sequence[CheckedFile], folder: Path, place: Place, *, connect: str | None = None,
     listen: Sequence[str] = (), units: Sequence[UnitEntry] = (), about: Mapping[str, str] = MappingProxyType({}),
-    restates: bool = False, estimated: EstimatedSignals = EstimatedSignals(), progress: FileProgress | None = None,
+    restates: bool = False, by: Actor | None = None, estimated: EstimatedSignals = EstimatedSignals(),
+    progress: FileProgress | None = None,
 ) -> Iterator[FileImport]:  # fmt: skip
     """Import checked files into a store; yields their results in the same order.
 
@@ -38,11 +40,11 @@ def import_files(
     little more than one large one; all of them are compared with the store before the first is sent. With `connect` a
     recorder in another process is used; that of this process lets subscribers connect at the endpoints `listen`, and
     estimates signals. `units` have product, lot, fixture and so on; `about` has details of the station, also for runs
-    that are stored already, which it `restates`. `progress` gets the file and the fraction of it that is sent. Raises
-    BadInput if a file contradicts the store; nothing of its group is imported then; StoreError if the lake does not
-    hold what was sent; DeliveryError if no recorder acknowledges it.
+    that are stored already, which it `restates`; `by` is who states them. `progress` gets the file and the fraction of
+    it that is sent. Raises BadInput if a file contradicts the store; nothing of its group is imported then; StoreError
+    if the lake does not hold what was sent; DeliveryError if no recorder acknowledges it.
     """
-    make = partial(FileSending, place=place, entries=units, about=about, restates=restates)
+    make = partial(FileSending, place=place, entries=units, about=about, restates=restates, by=by)
     for group in _groups(map(make, checked)):
         if connect is not None:
             yield from _sent_to_recorder(group, folder, connect, progress)

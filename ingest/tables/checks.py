@@ -23,6 +23,7 @@ IndexArray = npt.NDArray[np.intp]
 _NEVER_NS = np.iinfo(np.int64).min
 _MOST_OWNERS = 10_000
 _LONGEST_S = 1e8
+_ROWS_OF_A_CLOCK = 3  # at least, before times that the file has already, for each place at which times go back
 
 
 class Owner(NamedTuple):
@@ -41,6 +42,14 @@ class GoodRows:
     signals: dict[str, NumberCells]  # by name of the signal, shape (n,) each
     stretches: list[tuple[int, int, StepWords | None]]  # consecutive stretches of rows (from, to, words of their step)
     done: float  # fraction of the file that is read, 0 to 1
+
+
+class ClockBack(NamedTuple):
+    """A row whose time is earlier than that of the row before, and by how much it is before the one expected."""
+
+    place: str
+    number: int
+    by_ns: int
 
 
 class RowFilter:
@@ -62,6 +71,9 @@ class RowFilter:
         self.rows = self.bad_rows = self.late_times = 0
         self.repeated_times = 0  # of the late ones, those with the time of the row before
         self.late_ns: tuple[int, int] | None = None  # the first and last of them
+        self.backs = 0  # how often a time is earlier than that of the row before
+        self.first_back: ClockBack | None = None
+        self._row_ns: dict[Owner, int] = {}  # the time of the last row, good or late
         self.bad: list[BadRow] = []  # the first of them
 
     def good(self, block: CellBlock) -> list[GoodRows]:
@@ -163,6 +175,7 @@ class RowFilter:
         latest = np.maximum.accumulate(np.concatenate([[self._last_ns.get(owner, _NEVER_NS)], times]))
         self._last_ns[owner] = int(latest[-1])
         late = times <= latest[:-1]
+        self._follow_clock(block, owner, rows, times)
         if not late.any():
             return rows
         self.repeated_times += int(np.count_nonzero(times == latest[:-1]))
@@ -178,6 +191,32 @@ class RowFilter:
 
         block.sieve.refuse(rows[late], why)
         return rows[~late]
+
+    def _follow_clock(self, block: CellBlock, owner: Owner, rows: IndexArray, times_ns: IntArray) -> None:
+        """Count the rows at which times go back."""
+        before = np.concatenate([[self._row_ns.get(owner, _NEVER_NS)], times_ns[:-1]])
+        self._row_ns[owner] = int(times_ns[-1])
+        back = np.flatnonzero(times_ns < before)
+        self.backs += len(back)
+        if len(back) and self.first_back is None:
+            at = int(back[0])
+            interval_ns = max(0, int(times_ns[at - 1] - times_ns[at - 2])) if at > 1 else 0
+            by_ns = int(before[at] - times_ns[at]) + interval_ns
+            self.first_back = ClockBack(block.place, int(block.numbers[rows[at]]), by_ns)
+
+    def clock_back(self) -> str:
+        """A sentence on a clock that went back, and the rows at times that were there already; empty if none did."""
+        found, late, ends = self.first_back, self.late_times, self.late_ns
+        if found is None or ends is None or late - self.repeated_times < _ROWS_OF_A_CLOCK * self.backs:
+            return ""
+        first, last = (
+            stamp_text(each) if self.clock.date_known else seconds_text(self.clock.as_written(each)) for each in ends
+        )
+        more = f", the first of {self.backs} such places" if self.backs > 1 else ""
+        return (
+            f"the clock goes back by {seconds_text(found.by_ns)} at {found.place} {found.number}{more}: {late} rows "
+            f"from {first} to {last} lie at or before times that the file has already"
+        )
 
     def _bad_time(self, block: CellBlock, row: int, time_ns: int, expected: str) -> BadRow:
         title = self._columns.time.title if self._columns.time is not None else ""

@@ -110,6 +110,8 @@ class TableFile:
             advice = repeated_times_advice(self._time_title, rows.repeated_times, rows.rows)
             if (zone := self._reader.local_zone) is not None:
                 advice = advice or repeated_hour_advice(rows.late_ns, rows.late_times, zone)
+            if not advice and (back := rows.clock_back()):
+                advice = f"{back}; correct the file, or leave these rows out with --skip-bad"
             raise BadRows(self._path, tuple(rows.bad), rows.bad_rows, advice)
         found = grids.finish()
         if not found:
@@ -121,7 +123,9 @@ class TableFile:
         )
         is_known = any("separates thousands" in each for each in self._reader.remarks)
         remarks = (
-            *self._columns.remarks, *self._reader.remarks, *self._remarks_on_times(signals, rows.clock),
+            *self._columns.remarks, *self._reader.remarks,
+            *self._remarks_on_times(signals, rows.clock),
+            *(f"warning: {back}; they are left out" for back in filter(None, [rows.clock_back()])),
             *(rounded_remark(name, count) for name, count in rounded.items() if count),
             *(thousands_remark(name, units[name]) for name, is_so in in_thousandths.items() if is_so and not is_known),
         )  # fmt: skip

@@ -13,7 +13,7 @@ from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
 
 BAD_ROWS_KEPT = 1000
-BAD_ROWS_SHOWN = 20
+BAD_ROWS_SHOWN, BAD_ROWS_OF_A_CAUSE = 20, 3
 _FOUND_CHARACTERS = 60
 
 
@@ -40,7 +40,7 @@ class BadRows(BadInput):
     """
 
     def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int, cause: str = "") -> None:
-        shown = [f"  {row}" for row in bad[:BAD_ROWS_SHOWN]]
+        shown = [f"  {row}" for row in bad[: BAD_ROWS_OF_A_CAUSE if cause else BAD_ROWS_SHOWN]]
         if count > len(shown):
             shown.append(f"  ... and {count - len(shown)} more")
         noun = "row does" if count == 1 else "rows do"

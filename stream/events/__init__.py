@@ -116,8 +116,8 @@ class UnitReleased(Document, frozen=True, kw_only=True, tag=True):
     slot: str | None = None
 
 
-class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
-    """A unit is mounted in a slot of the station; `details` are free."""
+class UnitMounted(Act, frozen=True, kw_only=True, tag=True):
+    """A unit is mounted in a slot of the station; `details` are free, `by` is who listed it at an import."""
 
     unit: str
     product: str | None = None
@@ -127,6 +127,7 @@ class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
     operator: str | None = None
     firmware: str | None = None
     details: dict[str, str] = msgspec.field(default_factory=dict)
+    by: str = ""
 
 
 class NoteAdded(Act, frozen=True, kw_only=True, tag=True):
@@ -142,10 +143,11 @@ class NoteAdded(Act, frozen=True, kw_only=True, tag=True):
         return self.author == "import"
 
 
-class StationStated(Document, frozen=True, kw_only=True, tag=True):
+class StationStated(Act, frozen=True, kw_only=True, tag=True):
     """Later details of the station of a run, in the words of the details of its `RunStarted`; the last one counts."""
 
     details: dict[str, str] = msgspec.field(default_factory=dict)
+    by: str = ""
 
 
 class CheckEntered(Act, frozen=True, kw_only=True, tag=True):
