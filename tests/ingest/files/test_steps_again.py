@@ -59,7 +59,7 @@ def test_other_words_over_stored_samples_are_refused(ask: Callable[..., Any], tm
     refused = ask("import", "right.csv", *words, code=1).json["error"]["message"]
     assert "unit G, run scale has a step there already, with rate_command 10 deg/s; what is recorded stays" in refused
     assert ": from 2026-03-01 12:00:20.000000 UTC to 2026-03-01 12:00:39.000000 UTC the file has rate_" in refused
-    assert "`gyrofleet runs exclude scale --reason ...`" in refused
+    assert "`gyrofleet runs exclude scale --reason ... --store " in refused
     assert len(steps(ask)) == 12
     (file,) = ask("import", "wrong.csv", *words).json["files"]
     assert (file["steps"], file["steps_added"], file["signals"][0]["added"]) == (12, 0, 0)
