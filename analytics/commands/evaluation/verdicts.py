@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.text import Text
 
 from analytics.commands.evaluation.engine_option import compute_by_engine, engine_option
 from analytics.commands.evaluation.metrics import language_option, warn_of_failed
 from analytics.commands.evaluation.plants import named, of_plants, with_plant
+from analytics.commands.evaluation.verdict_words import coloured, group_name, name_of_metric, table_of, verdict_text
+from analytics.commands.evaluation.yields import print_yield
 from storage.commands.stored_names import UNIT
 from stream.errors import BadInput, NotFound
-from stream.terminal.console import counted, notes, print_json, reporting, results, store_option, styled
+from stream.terminal.console import counted, notes, print_json, reporting, results, store_option
 from stream.terminal.result_table import ResultTable
 
 if TYPE_CHECKING:
@@ -25,20 +26,6 @@ if TYPE_CHECKING:
 _FAILED, _NOT_JUDGED = 3, 4
 _KINDS = ("all", "product", "lot", "station", "fixture", "day", "week", "month")
 _SHOWN = 200
-_SHOWN_PARTLY = 12
-_COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "NO_DATA": "dim"}
-_ZH_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
-_ZH = {
-    "passed units": "合格数", "failed units": "不合格数", "marginal units": "临界数", "units without data": "无数据数",
-    "week": "周", "month": "月", "all": "全部",
-    "unit": "产品编号", "product": "产品型号", "lot": "批次", "verdict": "判定", "latest": "最近判定",
-    "passed": "合格项", "failed": "不合格项", "marginal": "临界项", "no data": "无数据项", "fails by": "不合格特性",
-    "characteristic": "特性", "signal": "信号", "run": "试验", "value": "数值", "95 % interval": "95 % 区间",
-    "limits": "限值", "standard": "标准", "revision": "规范版本", "reason": "原因", "units": "产品数",
-    "yield": "合格率", "judged": "已判定", "share": "占比", "cumulative": "累计", "station": "试验台",
-    "fixture": "夹具", "day": "日期", "rule": "判定规则", "accepted": "接受", "rejected": "拒绝",
-    "consumer": "使用方风险", "producer": "生产方风险", "of process": "过程风险", "conformity": "合格概率",
-}  # fmt: skip
 
 
 def _not_empty(context: click.Context, option: click.Parameter, value: str) -> str:
@@ -160,14 +147,14 @@ def _print_risks(rows: list[dict[str, Any]], language: str, *, as_json: bool) ->
     from analytics.trends.words import words
 
     titles = ("lot", "characteristic", "revision", "rule", "accepted", "rejected", "consumer", "producer", "of process")
-    table = _table(titles, language)
+    table = table_of(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
         revision = f"{row['specification']}-{row['revision'] or '?'}"
         process = (row["process_consumer_risk"], row["process_producer_risk"])
         rule = words(f"rule_{row['decision_rule']}").zh if language == "zh" else row["decision_rule"]
         table.add_row(
-            _group_name(row, language, "lot"), _name(row["metric"], language) + of, revision,
+            group_name(row, language, "lot"), name_of_metric(row["metric"], language) + of, revision,
             rule, str(row["accepted"]), str(row["rejected"]),
             _risk(row["specific_consumer_risk"], row["global_consumer_risk"]),
             _risk(row["specific_producer_risk"], row["global_producer_risk"]),
@@ -190,13 +177,13 @@ def _risk(specific: float | None, overall: float) -> str:
 def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: str, *, with_values: bool) -> None:
     console = results()
     if by:
-        _print_yield(shares, by, language)
+        print_yield(shares, by, language)
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
         if with_values:
             console.print(_value_table(found.verdicts, language))
         counts = Counter(row["verdict"] for row in found.units)
-        summary = ", ".join(f"{n} {_verdict_text(name, language)}" for name, n in sorted(counts.items()))
+        summary = ", ".join(f"{n} {verdict_text(name, language)}" for name, n in sorted(counts.items()))
         more = ""
         if len(found.units) > _SHOWN:
             more = (
@@ -214,78 +201,6 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         notes().print(f"{before} {named(row, 'unit')}: {reason}", soft_wrap=True)
 
 
-def _print_yield(shares: list[dict[str, Any]], by: str, language: str) -> None:
-    from analytics.evaluation.table import reason_of
-
-    console = results()
-    console.print(_yield_table(shares, by, language))
-    if without := sum(row["no_data"] for row in shares):
-        of = sum(row["units"] for row in shares)
-        text = f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
-        zh = f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
-        if by != "all":
-            text += f"; a unit counts in each {by} in which it was measured"
-            zh += f"；产品在其测量过的每个{_ZH[by]}中各计一次"
-        console.print(text if language == "en" else zh)
-    for line in _of_repeats(shares, by, language):
-        console.print(line)
-    if unjudged := sorted({unit for row in shares for unit in row["unjudged"]}):
-        console.print(_unjudged(unjudged, language))
-    for text in sorted({text for row in shares for text in row["withdrawn"]}):
-        console.print(reason_of({"reason": f"{text}, and still judges this, which was recorded before"}, language))
-    partly = [row for row in shares if row["not_all_limits"]]
-    for row in partly[:_SHOWN_PARTLY]:
-        console.print(_not_all_limits(row, by, language))
-    if len(partly) > _SHOWN_PARTLY:
-        rest = len(partly) - _SHOWN_PARTLY
-        console.print(
-            f"以及另外 {rest} 组（--json 给出全部）" if language == "zh" else f"and {rest} more (--json gives all)"
-        )
-
-
-def _of_repeats(shares: list[dict[str, Any]], by: str, language: str) -> list[str]:
-    """How many units pass by the first, and by the last, value of each limit, where this is not the same."""
-    found = []
-    for row in shares:
-        name, counts = _group_of(row, by, language), {"first": "", "latest": ""}
-        for which in counts if {row["first_passed"], row["latest_passed"]} != {row["passed"]} else ():
-            passed, of = row[f"{which}_passed"], row[f"{which}_judged"]
-            among = f"{passed}/{of}" if language == "zh" else f"{passed} of {of}"
-            counts[which] = f"{among} ({passed / of:.1%})" if of else among
-        if not counts["first"]:
-            continue
-        if language == "zh":
-            found.append(f"{name}：首次测量合格 {counts['first']}，最近测量合格 {counts['latest']}")
-        else:
-            found.append(f"{name}: {counts['first']} pass by their first values, {counts['latest']} by their latest")
-    more = len(found) - _SHOWN_PARTLY
-    if more > 0:
-        rest = f"以及另外 {more} 组（--json 给出全部）" if language == "zh" else f"and {more} more (--json gives all)"
-        return [*found[:_SHOWN_PARTLY], rest]
-    return found
-
-
-def _unjudged(units: list[str], language: str) -> str:
-    """That units have values that nothing judges."""
-    names = ", ".join(units[:_SHOWN_PARTLY]) + (", ..." if len(units) > _SHOWN_PARTLY else "")
-    if language == "zh":
-        return f"{len(units)} 个产品有已测但无从判定的数值，因而不判为合格：{names}（原因见 `gyrofleet verdicts`）"
-    have = "1 unit has values" if len(units) == 1 else f"{len(units)} units have values"
-    return f"{have} that nothing judges, so that no PASS stands: {names} (`gyrofleet verdicts` has the reason)"
-
-
-def _not_all_limits(row: dict[str, Any], by: str, language: str) -> str:
-    """That units passed by some of their limits only."""
-    metrics = ", ".join(_name(metric, language) for metric in row["not_judged"])
-    n, passed = row["not_all_limits"], row["passed"]
-    if language == "zh":
-        return f"{_group_of(row, by, language)}：{passed} 个合格产品中有 {n} 个在该处未按其全部限值判定（{metrics}）"
-    return (
-        f"{_group_of(row, by, language)}: {n} of {passed} units that passed were not judged there by every limit "
-        f"that they were judged by elsewhere ({metrics})"
-    )
-
-
 def _conformity(row: dict[str, Any], language: str) -> str:
     """The probability of conformity, marked where nothing but the scatter of the value is in it."""
     if row["conformity"] is None:
@@ -298,14 +213,14 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     from analytics.evaluation.table import reason_of
 
     counted_as = ("passed", "failed", "marginal", "no data")
-    table = _table(("unit", "product", "lot", "verdict", "latest", *counted_as, "reason"), language)
+    table = table_of(("unit", "product", "lot", "verdict", "latest", *counted_as, "reason"), language)
     for row in units:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
         parts = (_reasons_text(row, language), reason_of(row, language) if row["reason"] else "")
         why = "; ".join(part for part in parts if part)
         table.add_row(
-            named(row, "unit"), row["product"], row["lot"], _coloured(row["verdict"], language),
-            _coloured(row["latest_verdict"], language), *counts, why,
+            named(row, "unit"), row["product"], row["lot"], coloured(row["verdict"], language),
+            coloured(row["latest_verdict"], language), *counts, why,
         )  # fmt: skip
     return table
 
@@ -314,7 +229,7 @@ def _reasons_text(row: dict[str, Any], language: str) -> str:
     """What a unit fails by, what is undecided, and what is lacking."""
     parts = (("FAIL", row["failures"]), ("MARGINAL", row["undecided"]), ("NO_DATA", row["lacking"]))
     return "; ".join(
-        f"{_verdict_text(verdict, language)}: {', '.join(_name(metric, language) for metric in which)}"
+        f"{verdict_text(verdict, language)}: {', '.join(name_of_metric(metric, language) for metric in which)}"
         for verdict, which in parts
         if which
     )
@@ -324,7 +239,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     from analytics.evaluation.table import format_limits, format_number, format_parameters, reason_of
     from stream.quantities import format_unit
 
-    table = _table(
+    table = table_of(
         (
             "characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "conformity", "standard",
             "revision", "reason",
@@ -343,42 +258,11 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         mark = " (已撤回)" if language == "zh" else " (withdrawn)"
         why = "; ".join(reason_of({"reason": each}, language) for each in (row["reason"], row["withdrawn"]) if each)
         table.add_row(
-            of_plant + _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
+            of_plant + name_of_metric(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
-            f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language),
+            f"{format_limits(row)} {unit}".strip(), coloured(row["verdict"], language),
             _conformity(row, language), row["standard"], label + (mark if row["withdrawn"] else ""), why,
         )  # fmt: skip
-    return table
-
-
-def _group_name(row: dict[str, Any], language: str, column: str = "name") -> str:
-    """The name of a lot, station or other group; that of units without one."""
-    from analytics.specifications.verdicts import UNGIVEN, UNGIVEN_ZH
-
-    ungiven = UNGIVEN_ZH if language == "zh" else UNGIVEN
-    return named(row | {column: ungiven} if row[column] is None else row, column)
-
-
-def _group_of(row: dict[str, Any], by: str, language: str) -> str:
-    """The name of a group at the head of a sentence."""
-    name = _group_name(row, language)
-    if by == "all":
-        return name.removesuffix("all") + ("全部产品" if language == "zh" else "all units")
-    return name if language == "zh" else f"{by} {name}"
-
-
-def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:
-    counted_as = ("passed units", "failed units", "marginal units", "units without data")
-    titles = (by, "units", *counted_as, "yield", "95 % interval") if language == "zh" else (
-        by, "units", "passed", "failed", "marginal", "no data", "yield", "95 % interval"
-    )  # fmt: skip
-    table = _table(titles, language)
-    for row in rows:
-        counts = (str(row[name]) for name in ("units", "passed", "failed", "marginal", "no_data"))
-        share = ("", "") if row["yield"] is None else (
-            f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
-        )  # fmt: skip
-        table.add_row(_group_name(row, language), *counts, *share)
     return table
 
 
@@ -386,32 +270,10 @@ def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     titles = ("fails by", "failed", "marginal", "judged", "share", "cumulative")
     if language == "zh":
         titles = ("fails by", "failed units", "marginal units", "judged", "share", "cumulative")
-    table = _table(titles, language)
+    table = table_of(titles, language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
         name = named(row, language) + ("" if row["subject"] == "entered" else of)
         counts = (str(row[name]) for name in ("failed", "marginal", "judged"))
         table.add_row(name, *counts, f"{row['share']:.0%}", f"{row['cumulative_share']:.0%}")
     return table
-
-
-def _table(titles: Iterable[str], language: str) -> ResultTable:
-    return ResultTable(*(_ZH.get(title, title) if language == "zh" else title for title in titles))
-
-
-def _name(metric: str, language: str) -> str:
-    """A metric's name; an entered check may have a name of its own."""
-    from analytics.evaluation.table import name_of
-    from analytics.metric_registry.registry import metrics
-
-    if metric in metrics():
-        return name_of(metric, language)
-    return _ZH.get(metric, metric) if language == "zh" else metric
-
-
-def _verdict_text(verdict: str, language: str) -> str:
-    return _ZH_VERDICTS[verdict] if language == "zh" else verdict
-
-
-def _coloured(verdict: str, language: str) -> Text:
-    return styled(_verdict_text(verdict, language), _COLOURS[verdict])

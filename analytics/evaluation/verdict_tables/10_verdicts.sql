@@ -312,7 +312,7 @@ with meant as materialized (
     any_value(n.parameters) as parameters, any_value(n.runs) as runs, any_value(n.standard) as standard,
     any_value(n.clause) as clause, n.specification, null::varchar as revision,
     case
-      when not bool_or(n.is_known) then 'no revision of ' || n.specification || ' was in force when it was recorded'
+      when not bool_or(n.is_known) then 'no revision of ' || n.specification || ' in force judges it'
       when not bool_and(n.date_known)
         then 'the date of the run is not known, so nobody can say which revision of ' || n.specification || ' held'
       when any_value(v.revision) is null then 'no revision of ' || n.specification || ' was valid at '

@@ -94,7 +94,7 @@ def test_a_retest_after_a_withdrawal_has_a_row_and_counts_on_its_day(ask: Ask, e
     enter("V1", 6, 5.0)
     enter("V2", 6, 5.0)
     rows = {(row["run"], row["verdict"], row["reason"]) for row in ask("verdicts")["verdicts"]}
-    why = "no revision of P1 was in force when it was recorded: there is A from 2026-10-01 (withdrawn)"
+    why = "no revision of P1 in force judges it: there is A from 2026-10-01 (withdrawn)"
     assert rows == {("V1-2", "PASS", None), ("V1-6", "NO_DATA", why), ("V2-6", "NO_DATA", why)}
     days = {row["name"]: (row["units"], row["no_data"]) for row in ask("verdicts", "--by", "day")["yield"]}
     assert days == {"2026-10-02": (1, 0), "2026-10-06": (2, 2)}
