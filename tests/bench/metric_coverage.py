@@ -113,7 +113,7 @@ CHECKS = [
             ("vibration_change", BIAS_CHANGE, "vibration"),
         )
         # without a latitude the largest of an acceleration sensitivity has the Earth's rate in it, and no interval
-        for axis in ("X", "Y" if procedure == "acceleration_sensitivity" else "largest")
+        for axis in ("X", "largest")[: 1 if procedure == "acceleration_sensitivity" else 2]
     ),
     *(
         Check(SCALE, lambda unit, _: 1 + unit.scale_ppm * 1e-6, False, {"standard": standard}, SCALE)
