@@ -45,8 +45,11 @@ class StoredSteps:
         for each in known.steps if steps else ():
             span = _Span(each.uid, decode_json(each.words, StepWords), each.t_start_ns, each.t_end_ns)
             stored[each.unit, each.run].append(span)
+        self._refused: list[tuple[FileStep, _Span]] = []
         for owner, own in steps.items():
             self._compare(own, sorted(stored[owner], key=lambda span: span.first_ns))
+        if self._refused:
+            raise self._error(*self._refused[0])
 
     @property
     def added(self) -> int:
@@ -101,23 +104,27 @@ class StoredSteps:
         return whole, started, ended
 
     def _check(self, step: FileStep, own: _Span, near: Sequence[_Span]) -> None:
-        if any(each.uid == own.uid for each in near):
-            return  # it is stored already
+        if any(each.uid == own.uid and each.last_ns >= own.last_ns for each in near):
+            return  # all of it is stored
         others = [
             each for each in near
             if each.words != own.words and each.first_ns <= own.last_ns and own.first_ns <= each.last_ns
         ]  # fmt: skip
-        if not others:
-            return
-        here, there = word_texts(own.words), word_texts(others[0].words)
+        self._refused += [(step, each) for each in others[:1]]
+
+    def _error(self, step: FileStep, other: _Span) -> BadInput:
+        here, there = word_texts(step.started.words), word_texts(other.words)
         differs = [name for name in {**here, **there} if here.get(name) != there.get(name)]
         unit, run = step.started.unit, step.started.run
-        span = f"from {self._moment(max(own.first_ns, others[0].first_ns))} to "
-        span += self._moment(min(own.last_ns, others[0].last_ns))
+        first_ns, last_ns = max(step.started.t_ns, other.first_ns), min(step.ended.t_ns, other.last_ns)
         stored, given = (_listed(words, differs) for words in (there, here))
-        raise BadInput(
+        which = f" in its step {here['step']}" if "step" in here and "step" not in differs else ""
+        more = f" (and so on, in {len(self._refused)} of its {len(self._summary.steps)} steps)"
+        return BadInput(
             f"{self._path}: unit {unit}, run {run} has a step there already, with {stored}; what is recorded stays: "
-            f"{span} the file has {given}, and each sample would count in both steps. {self._ways_out(run, differs)}"
+            f"from {self._moment(first_ns)} to {self._moment(last_ns)} the file has {given}{which}"
+            f"{more if len(self._refused) > 1 else ''}, and each sample would count in both steps. "
+            f"{self._ways_out(run, differs)}"
         )
 
     def _ways_out(self, run: str, differs: Sequence[str]) -> str:

@@ -59,6 +59,7 @@ def test_other_words_over_stored_samples_are_refused(ask: Callable[..., Any], tm
     refused = ask("import", "right.csv", *words, code=1).json["error"]["message"]
     assert "unit G, run scale has a step there already, with rate_command 10 deg/s; what is recorded stays" in refused
     assert ": from 2026-03-01 12:00:20.000000 UTC to 2026-03-01 12:00:39.000000 UTC the file has rate_" in refused
+    assert "the file has rate_command -10 deg/s in its step rate (and so on, in 10 of its 12 steps)" in refused
     assert "`gyrofleet runs exclude scale --reason ... --store " in refused
     assert len(steps(ask)) == 12
     (file,) = ask("import", "wrong.csv", *words).json["files"]
@@ -118,6 +119,20 @@ def test_parts_of_one_record_are_one_step(
     assert value == pytest.approx(RATES.mean(), rel=1e-6)
     ((again),) = ask("import", f"{len(parts) - 1}.csv", *words).json["files"]
     assert (again["steps_added"], again["signals"][0]["added"]) == (0, 0)
+
+
+def test_a_step_that_grows_over_another_one_is_refused(ask: Callable[..., Any], tmp_path: Path) -> None:
+    for name, edge in (("wrong", 50), ("right", 70)):
+        lines = [f"{i},{RATES[i]},static_bias,{'IRA_up' if i < edge else 'IRA_down'}" for i in range(90)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time[s],rate[deg/h],procedure,position", *lines]) + "\n")
+    words = ("--unit", "U", "--run", "r", *START)
+    ask("import", "wrong.csv", *words)
+    refused = ask("import", "right.csv", *words, code=1).json["error"]["message"]
+    assert "has a step there already, with position IRA_down; what is recorded stays" in refused
+    assert (
+        "from 2026-03-01 12:00:50.000000 UTC to 2026-03-01 12:01:09.000000 UTC the file has position IRA_up" in refused
+    )
+    assert steps(ask) == [(0, 49), (50, 89)]
 
 
 def test_parts_with_a_gap_between_them_are_two_steps(ask: Callable[..., Any], tmp_path: Path) -> None:
