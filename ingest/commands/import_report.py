@@ -136,7 +136,7 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     if imported.added == 0:
         verb = "says" if imported.steps == 1 else "say"
         says = f"; {steps_text} in the store {verb} what was measured" if imported.steps else ""
-        says += f", {imported.steps_added} new with this import" if imported.steps_added else ""
+        says += f", {imported.steps_added} new or longer with this import" if imported.steps_added else ""
         stated = "" if not imported.restated else (
             f" What is stated of the station is recorded for {counted(len(imported.restated), 'run')}."
         )  # fmt: skip

@@ -97,7 +97,7 @@ def test_what_was_left_out_is_stated_by_the_same_command(ask: Callable[..., Outc
     assert "has samples, but no completed step says what was measured: import its files again" in reported.err
     later = ("import", "later.csv", "--unit", "U-LATER", "--start", START)
     assert "No step says what was measured" in both(ask(*later))
-    assert "stored already; 1 step in the store says what was measured, 1 new with this import." in both(
+    assert "stored already; 1 step in the store says what was measured, 1 new or longer with this import." in both(
         ask(*later, *UP)
     )
     assert "No step says what was measured" not in both(ask(*later))
