@@ -176,8 +176,10 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
         why = words.of("; ", "；").join(map(words.text, fleet.limits))
         return words.of(f"Not enough data to pool: {why}.", f"数据不足，无法汇总：{why}。")
     if not fleet.effects:
-        en = f"The {units} units have no missing effect in common that repeats in their runs."
-        return words.of(en, f"{units}个产品合并分析未见可重现的共同缺项。")
+        alone = words.of("; ", "；").join(_of_single_units(fleet, words))
+        beside = words.of(f"; {alone}", f"；{alone}") if alone else ""
+        en = f"The {units} units have no missing effect in common that repeats in their runs{beside}."
+        return words.of(en, f"{units}个产品合并分析未见可重现的共同缺项{beside}。")
     effects = words.of("; and ", "；以及").join(_common(each, fleet, words) for each in fleet.effects)
     if any(_showing(fleet.by_unit.get(each.name, ())) < units for each in fleet.effects):
         en = f"In {units} units pooled, not all of which show it, the declared model lacks: {effects}."
@@ -186,6 +188,30 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
         f"The declared model lacks, in {units} units together: {effects}.",
         f"{units}个产品合并分析，已声明模型缺少：{effects}。",
     )
+
+
+def _of_single_units(fleet: FleetDiagnosis, words: Wording) -> Iterator[str]:
+    """What single units lack by themselves, and which have more noise than declared."""
+    units_of: dict[str, list[str]] = {}
+    for unit, names in fleet.own_findings.items():
+        for name in names:
+            units_of.setdefault(name, []).append(unit)
+    for name, units in units_of.items():
+        some = _some(units, words)
+        yield words.of(
+            f"of the units alone, {words.name(name)} is missing in {some}", f"单独诊断时{some}缺少{words.name(name)}"
+        )
+    noisy = [unit for unit, each in fleet.units.items() if each.verdict is ModelVerdict.UNEXPLAINED]
+    if noisy:
+        yield words.of(
+            f"in {_some(noisy, words)} something is left that no effect explains",
+            f"{_some(noisy, words)}尚有任何效应均不能解释的误差",
+        )
+
+
+def _some(units: Sequence[str], words: Wording) -> str:
+    """The names of a few units; of many the first ones."""
+    return words.listed(units[:_MOST_NAMED]) + (words.of(", ...", "……") if len(units) > _MOST_NAMED else "")
 
 
 def _showing(rows: Sequence[UnitCoefficient]) -> int:
@@ -197,8 +223,7 @@ def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
     rows = fleet.by_unit.get(found.name, ())
     showing = _showing(rows)
     if showing < len(rows):
-        named = words.listed([each.unit for each in rows if each.presence >= _PRESENT][:_MOST_NAMED])
-        named += words.of(", ...", "……") if showing > _MOST_NAMED else ""
+        named = _some([each.unit for each in rows if each.presence >= _PRESENT], words)
         text = words.effect(found) + words.of(
             f", shown by {showing} of {len(rows)} units{f' ({named})' if named else ''}; the mean over all of them is ",
             f"，{len(rows)}个产品中{showing}个有此效应{f'（{named}）' if named else ''}；全部产品的平均为",

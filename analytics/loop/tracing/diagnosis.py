@@ -20,10 +20,11 @@ from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.loop.tracing.verdict.effect_findings import findings
 from analytics.loop.tracing.verdict.noise_agreement import noise_excess
 from analytics.loop.tracing.whitening.stack import stacked
-from analytics.loop.tracing.whitening.white_variance import has_outliers, record_of
+from analytics.loop.tracing.whitening.white_variance import record_of
 from stream.errors import GyrofleetError
 
 FIRST_TIER = (EffectKind.LIBRARY, EffectKind.FUNCTION)
+_OTHER_WEIGHT = 0.7  # change of the logarithm of the white variance of a block from which the search is repeated
 SECOND_TIER = (*FIRST_TIER, EffectKind.SECOND_TIER)
 
 
@@ -135,7 +136,7 @@ class _Trace:
         available = effects_for(stack.runs) if self.effects is None else self.effects
         rng = np.random.default_rng(self.seed)
         candidates, found = _searched(case, available, model, rng)
-        if better := _without_false_outliers(case, found, declared):
+        if better := _reweighted(case, found, declared):
             case = better
             candidates, found = _searched(case, available, model, rng)
         return conclude(case, candidates, found, model, declared, rng, turn_on_is_declared=known)
@@ -159,14 +160,15 @@ def _searched(
     return (more, again) if any(is_late(each.fitted.effect) for each in again.selected) else (candidates, found)
 
 
-def _without_false_outliers(case: Case, found: Search, declared: ModelNoise | None) -> Case | None:
-    """The case without outliers that a found effect explains; None if there are none."""
+def _reweighted(case: Case, found: Search, declared: ModelNoise | None) -> Case | None:
+    """The case without outliers and with the white noise that found effects leave; None if they change neither."""
     columns = found.joint.hypothesis.common[0]
-    if not columns.shape[1] or not has_outliers(case.training):
+    if not columns.shape[1]:
         return None
     known = case.training.prior.turn_on_is_declared
     record = record_of(case.training.stack, declared, columns, turn_on_is_declared=known)
-    return None if np.array_equal(record.white, case.training.white) else replace(case, training=record)
+    changed = np.abs(np.log(record.white / case.training.white)) > _OTHER_WEIGHT
+    return replace(case, training=record) if changed.any() else None
 
 
 def _leaves_structure(case: Case, candidates: Candidates, found: Search) -> bool:

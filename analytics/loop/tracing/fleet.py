@@ -1,5 +1,6 @@
 """The diagnosis of several units: effects common to all, too small for one unit, and the units that differ."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -26,10 +27,12 @@ from analytics.loop.tracing.search.evidence import by_replicate
 from analytics.loop.tracing.search.screening import candidates_for
 from analytics.loop.tracing.verdict.conclusion import denied, verdict_of
 from analytics.loop.tracing.verdict.effect_findings import findings
+from analytics.loop.tracing.verdict.noise_agreement import NOISE_P_VALUE
 from analytics.methods.distributions import chi_square_sf, normal_sf
 from stream.batch import FloatArray
 
 FALSE_DISCOVERIES = 0.05
+_SEVERAL_BY_CHANCE = 0.05  # probability below which the units with more noise than declared are not by chance
 TESTS_IN_A_SEARCH = 50  # approximate number of independent tests in the search of one unit
 
 
@@ -47,7 +50,7 @@ class UnitCoefficient(msgspec.Struct, frozen=True):
 class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """The diagnosis of several units together."""
 
-    verdict: ModelVerdict
+    verdict: ModelVerdict  # unreplicated or unexplained where only single units lack something
     effects: tuple[FoundEffect, ...] = ()  # that all units lack, confirmed by the held-out runs of all
     # refused by the held-out runs, and jumps, which are of one run of one unit
     unreplicated: tuple[FoundEffect, ...] = ()
@@ -139,7 +142,9 @@ def diagnose_fleet(
     gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
     walks = [each for each in kept if answer is not None and answer.may_be_walk(each.name)]
     certain = [each for each in kept if each not in walks]
-    verdict = verdict_of(certain, (*gone, *walks), is_excess=False, within_run=False)
+    verdict = _beside_units(
+        verdict_of(certain, (*gone, *walks), is_excess=False, within_run=False), alone, own_findings
+    )
     by_unit = {
         each.name: _by_unit(found, each)
         for each in found.selected
@@ -157,6 +162,21 @@ def diagnose_fleet(
         own_findings=own_findings,
         limits=tuple(limits),
     )
+
+
+def _beside_units(
+    verdict: ModelVerdict, alone: Mapping[str, Diagnosis], own_findings: Mapping[str, tuple[str, ...]]
+) -> ModelVerdict:
+    """The verdict; where nothing is missing in common, what the units by themselves leave of that."""
+    if verdict is not ModelVerdict.NOTHING_MISSING:
+        return verdict
+    if own_findings:
+        return ModelVerdict.UNREPLICATED
+    noisy = sum(each.verdict is ModelVerdict.UNEXPLAINED for each in alone.values())
+    by_chance = 1.0 - math.exp(-NOISE_P_VALUE * len(alone)) * math.fsum(
+        (NOISE_P_VALUE * len(alone)) ** count / math.factorial(count) for count in range(noisy)
+    )
+    return ModelVerdict.UNEXPLAINED if noisy and by_chance < _SEVERAL_BY_CHANCE else verdict
 
 
 def _held_out(cases: Sequence[Case], found: Search) -> Holdout | None:

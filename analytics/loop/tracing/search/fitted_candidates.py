@@ -83,10 +83,16 @@ class FittedCandidate:
     def is_near(self, best: "FittedCandidate") -> bool:
         """Whether the data cannot separate it from the best candidate.
 
-        The noise inflation is left out here, since a wrong form also makes coefficients disagree between runs.
+        Its own noise inflation is left out here, since a wrong form also makes coefficients disagree between runs; that
+        of the best candidate counts for both.
         """
         own = self.evidence if self.at_most is None else self.at_most
-        return not leads(best.evidence, best.effect, own, self.effect)
+        return not leads(best.evidence, best.effect, own / max(best.inflation, 1.0) if own > 0 else own, self.effect)
+
+    @property
+    def inflation(self) -> float:
+        """Ratio of its evidence without and with the noise inflation; 1 where that was not taken into account."""
+        return 1.0 if self.at_most is None or self.evidence <= 0 else self.at_most / self.evidence
 
     @property
     def lead(self) -> float:

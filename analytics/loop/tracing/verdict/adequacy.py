@@ -13,6 +13,7 @@ from analytics.loop.tracing.search.screening import LEAST_LEFT, Candidates, pool
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.methods.distributions import chi_square_sf, normal_isf
+from stream.batch import FloatArray
 
 WRONG_FORM = 1e-4  # p-value below which the form of an effect is rejected
 _LEAST_INFORMATION = 0.01
@@ -35,7 +36,8 @@ def form_p_values(candidates: Candidates, joint: JointFit, which: Selected) -> d
 def homogeneity(found: Search, which: Selected) -> tuple[float, dict[str, tuple[float, float]]]:
     """P-value of equal coefficients of an effect; the first and its standard error in each replicate that excites it.
 
-    Cochran's Q of each coefficient over replicates, Bonferroni-corrected.
+    Cochran's Q of each coefficient over the replicates of a unit, summed over units, Bonferroni-corrected: units differ
+    from each other without a wrong form.
     """
     columns, records = found.common_columns(which), found.joint.records
     replicates = [record.stack.replicate for record in records]
@@ -51,12 +53,22 @@ def homogeneity(found: Search, which: Selected) -> tuple[float, dict[str, tuple[
         if column == columns.start:
             rows = zip(names, information, product, excited, strict=True)
             table = {name: (float(s / w), float(1 / np.sqrt(w))) for name, w, s, is_excited in rows if is_excited}
-        if np.count_nonzero(excited) > 1:
-            mean = product.sum() / information.sum()
-            q = np.sum((product[excited] - information[excited] * mean) ** 2 / information[excited])
-            p_values.append(float(chi_square_sf(q, int(np.count_nonzero(excited)) - 1)))
+        least = _LEAST_INFORMATION * information.sum()
+        of_units = [_cochran(*each, least) for each in pairs]
+        if (degrees := sum(each for _, each in of_units)) > 0:
+            p_values.append(float(chi_square_sf(sum(q for q, _ in of_units), degrees)))
     tested = max(1, len(p_values) - 1)
     return min(1.0, min(p_values) * tested), table
+
+
+def _cochran(information: FloatArray, product: FloatArray, least: float) -> tuple[float, int]:
+    """Cochran's Q of the replicates of a unit that have at least so much information, and its degrees of freedom."""
+    excited = information > least
+    if np.count_nonzero(excited) < 2:
+        return 0.0, 0
+    mean = product.sum() / information.sum()
+    q = np.sum((product[excited] - information[excited] * mean) ** 2 / information[excited])
+    return float(q), int(np.count_nonzero(excited)) - 1
 
 
 def detection_limits(

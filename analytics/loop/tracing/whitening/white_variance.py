@@ -37,11 +37,12 @@ def record_of(
 ) -> UnitRecord:
     """The blocks with the white variance of each; their noise is estimated unless declared.
 
-    Blocks that effects explain, whose columns are `beside`, are no outliers. Turn-on scatter of a `declared` noise may
-    be an estimate from these runs.
+    `beside` are columns of effects: what they explain is no noise, and no outlier. Turn-on scatter of a `declared`
+    noise may be an estimate from these runs.
     """
     value, steps, noise_model = stack.value, stack.steps, stack.noise_model
-    residual = np.asarray(value - stack.design @ fit(stack.design, value).coefficients)
+    design = stack.design if beside is None else np.column_stack([stack.design, beside])
+    residual = np.asarray(value - design @ fit(design, value).coefficients)
     if declared is not None:
         spread = DECLARED_SPREAD if turn_on_is_declared else np.append(DECLARED_SPREAD[:3], ESTIMATED_SPREAD[3])
         prior = NoisePrior(declared, spread, turn_on_is_declared)
@@ -53,11 +54,6 @@ def record_of(
     record = UnitRecord(stack, value, stack.design, steps, noise_model, prior, white)
     white[_outliers(record, beside)] *= OUTLIER_RATIO
     return record
-
-
-def has_outliers(record: UnitRecord) -> bool:
-    """Whether any block is treated as an outlier."""
-    return bool(np.any(record.white >= OUTLIER_RATIO * LEAST_RATIO))
 
 
 def _pair_variance(differences: FloatArray) -> float:

@@ -67,6 +67,10 @@ def fit_noise(
         # noise fitted without a large effect is a poor start once the effect is in the model
         declared = _evaluate(data, record.prior.center)
         current = max((current, declared), key=lambda each: each.log_likelihood)
+    too_large = float(np.sqrt(np.mean(current.residual**2)))
+    if np.log(max(too_large, 1.0)) > _FAR:  # an error that the model lacks may be a million times the noise
+        scaled = _evaluate(data, from_array(as_array(current.noise) * too_large))
+        current = max((current, scaled), key=lambda each: each.log_likelihood)
     before: tuple[WhitenedFit, FloatArray] | None = None
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(data, current, active)
