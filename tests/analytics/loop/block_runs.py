@@ -18,10 +18,12 @@ def run_of(
     """One run a day: the error, white noise of this standard deviation, and channels that are measured well."""
     size, spread = error.size, np.broadcast_to(np.asarray(sigma, np.float64), error.shape)
     value = 10.0 + error + spread * rng.standard_normal(size) + 0.01 * rng.standard_normal()
+    measured = {name: Channel(each, np.full(size, 1e-6), UNITS[name]) for name, each in channels.items()}
+    scatter = spread**2 * rng.chisquare(29, size) / 29
+    day_ns, readings = number * 86_400 * 10**9, np.full(size, 30)
     return RunBlocks(
-        unit, f"r{number}", "rate", np.arange(size), BLOCK_S, number * 86_400 * 10**9, value, np.full(size, 30),
-        spread**2, "deg/h", {name: Channel(each, np.full(size, 1e-6), UNITS[name]) for name, each in channels.items()},
-    )  # fmt: skip
+        unit, f"r{number}", "rate", np.arange(size), BLOCK_S, day_ns, value, readings, scatter, "deg/h", measured
+    )
 
 
 def warming(number: int) -> FloatArray:

@@ -45,7 +45,7 @@ def test_more_noise_than_declared_in_a_unit_is_not_nothing_missing() -> None:
             run_of(rng, number, np.zeros(80), {"temperature": warming(number)}, f"U{unit}", WHITE * size)
             for number in range(4)
         ]
-        for unit, size in enumerate((2.0, 1.0))
+        for unit, size in enumerate((3.0, 1.0))
     }
     found = diagnose_fleet(units, ErrorModel.parse("rate = bias"), declared_noise=dict.fromkeys(units, NOISE))
     assert [each.verdict for each in found.units.values()] == [ModelVerdict.UNEXPLAINED, ModelVerdict.NOTHING_MISSING]

@@ -43,6 +43,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_hidden_delay,
 )
 from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats, refit_caveats
+from analytics.loop.tracing.verdict.noise_over_channels import noise_trend
 from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
 from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
@@ -149,7 +150,13 @@ def conclude(
     )
     unsteady = differing_caveats(kept.joint, declared_model)
     remarks += unsteady + weak_terms(case, declared_model)
-    unexplained = (unexplained_error(error) if case.held_out else None) or (unsteady[0] if unsteady else None)
+    trend = noise_trend(case.stack)
+    remarks += [] if trend is None else [trend.sentence]
+    unexplained = (
+        (unexplained_error(error) if case.held_out else None)
+        or (unsteady[0] if unsteady else None)
+        or (None if trend is None else trend.sentence)
+    )
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)
     if (is_scatter or verdict is ModelVerdict.NOTHING_MISSING) and (undetermined or unexplained):

@@ -85,7 +85,7 @@ def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:
     return marks
 
 
-def _rate_classes(stack: Stack) -> tuple[IntArray, IntArray]:
+def rate_classes(stack: Stack) -> tuple[IntArray, IntArray]:
     """Class of the rate at which each block turns about any axis, and about the input axis as well."""
     classes = []
     for names in (("input_rate", "rate_o", "rate_s", "table_rate"), ("input_rate",)):
@@ -101,7 +101,7 @@ def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expecte
     """White variance of each block over the expected one, by run and class of rate."""
     difference = np.diff(residual, prepend=0.0)
     number = stack.run_number
-    turning, both = _rate_classes(stack)
+    turning, both = rate_classes(stack)
     same = _neighbours(stack, steps) & (np.diff(both, prepend=-1) == 0)
     ratio = np.ones(len(stack))
     in_run = [number == run for run in range(len(stack.runs))]
