@@ -71,6 +71,7 @@ def _lacking(diagnosis: Diagnosis, words: Wording) -> str:
     if diagnosis.verdict is ModelVerdict.EFFECT_FOUND:
         lasting = [each for each in lasting if each.confirmed] or lasting
     others = [each for each in diagnosis.by_size if each not in lasting]
+    once = [each for each in diagnosis.unreplicated if not each.replicates]
     rest = "".join(words.of("; also, ", "；另") + _seen_once(each, diagnosis, words) for each in others)
     if lasting[0].name == TURN_ON:
         return f"{_runs_differ(lasting[0], diagnosis, words)}{rest}"
@@ -79,6 +80,7 @@ def _lacking(diagnosis: Diagnosis, words: Wording) -> str:
         where = words.of("judging by the only run, ", "就唯一一次试验而言，")
     them = "it" if len(lasting) == 1 else "them"
     rest = f"{rest}{_confirmation(diagnosis, them, words)}{_gain(diagnosis, words)}"
+    rest += "".join(words.of("; also, ", "；另") + _seen_once(each, diagnosis, words) for each in once)
     return f"{where}{_effects(lasting, words)}{rest}"
 
 
@@ -171,7 +173,9 @@ def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
 
 
 def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
-    name, sized = words.effect(found), _sized(found, words)
+    alternatives = found.confounded if not found.replicates else ()
+    name = words.listed([words.effect(found), *(_alternative(other, words) for other in alternatives)], _OR)
+    sized = _sized(found, words)
     if found.name == JUMP:
         size = words.coefficient(found)
         return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")

@@ -16,7 +16,7 @@ from analytics.loop.tracing.processors import single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.search.effect_search import Search, search
 from analytics.loop.tracing.search.screening import Candidates, candidates_for
-from analytics.loop.tracing.verdict.conclusion import conclude
+from analytics.loop.tracing.verdict.conclusion import conclude, replicated_later
 from analytics.loop.tracing.verdict.effect_findings import findings
 from analytics.loop.tracing.verdict.noise_agreement import noise_excess
 from analytics.loop.tracing.whitening.stack import stacked
@@ -143,6 +143,16 @@ class _Trace:
 
 
 def _searched(
+    case: Case, effects: Mapping[str, Effect], model: ErrorModel, rng: np.random.Generator
+) -> tuple[Candidates, Search]:
+    """Search the library; then beside what one training run shows, if held-out runs show it as well."""
+    candidates, found = _searched_in_training(case, effects, model, rng)
+    while (given := replicated_later(case, found)) is not None:
+        found = search(candidates, rng, given.selected)
+    return candidates, found
+
+
+def _searched_in_training(
     case: Case, effects: Mapping[str, Effect], model: ErrorModel, rng: np.random.Generator
 ) -> tuple[Candidates, Search]:
     """Search the library; if structure is left, what is tried late as well: products, in a single run thresholds."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, as_
 from analytics.loop.tracing.search.named_parts import named_parts
 from analytics.loop.tracing.search.pair_round import best_pair
 from analytics.loop.tracing.search.screening import Candidates, screen
+from analytics.loop.tracing.search.unreplicated import unreplicated_of
 from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, normal_equations, nothing_more
 from analytics.loop.tracing.whitening.least_squares import solve
 from analytics.loop.tracing.whitening.stack import UnitRecord
@@ -49,8 +51,8 @@ class Search:
     selected: tuple[Selected, ...]  # in the order of selection
     null: JointFit  # fit of the declared model alone
     joint: JointFit  # fit with all selected effects
-    unreplicated: tuple[FittedCandidate, ...]  # with evidence in the first round, but without replication
-    first: tuple[FittedCandidate, ...] = ()  # all candidates of the first round, if none was selected
+    unreplicated: tuple[FittedCandidate, ...]  # with evidence beside the selected effects, but without replication
+    beside: tuple[FittedCandidate, ...] = ()  # all candidates beside the selected effects; empty for several records
 
     @property
     def common(self) -> list[Selected]:
@@ -97,34 +99,47 @@ def _columns_of(which: Selected, widths: Sequence[tuple[Selected, int]], start: 
     return slice(0, 0)
 
 
-def search(candidates: Candidates, rng: np.random.Generator) -> Search:
-    """Find the effects that the declared model lacks, one record for each unit."""
+def search(candidates: Candidates, rng: np.random.Generator, given: Sequence[Selected] = ()) -> Search:
+    """Find the effects that the declared model lacks beside those `given`, one record for each unit."""
     records = candidates.records
     null = joint = fit_jointly(records, nothing_more(records))
-    selected: list[Selected] = []
-    unreplicated: tuple[FittedCandidate, ...] = ()
-    first: tuple[FittedCandidate, ...] = ()
-    for _ in range(MOST_EFFECTS):
-        # lines and jumps would pass for a coefficient that differs from run to run
-        repeats = not differing_terms(joint)
-        found = fitted_candidates(candidates, joint, rng, [each.name for each in selected], with_events=repeats)
-        if not selected:
-            first = tuple(found)
-            unreplicated = tuple(each for each in found if not (each.replicates or each.is_rival) and each.evidence > 0)
-        best = _chosen(found)
+    selected = list(given)
+    if given:
+        joint = fit_jointly(records, _hypothesis_of(records, given), null.noises)
+    beside: list[FittedCandidate] = []
+    while len(selected) < MOST_EFFECTS:
+        beside = _candidates_beside(candidates, joint, rng, selected)
+        best = _chosen(beside)
         if best is None:
             break
         selected.append(best)
         joint = best.fitted.joint
+    chosen = _as_chosen(selected)
     common = sum(each.is_common for each in selected)
-    if common < 2 and len(selected) - common + 2 <= MOST_EFFECTS:
+    if common < 2 and len(selected) - common + 2 <= MOST_EFFECTS and not given:
         selected, joint = _with_pair(candidates, selected, joint, rng)
     elif common >= 2:
-        selected, joint = _refined(candidates, selected, joint, rng)
-    selected, joint = _with_named_parts(candidates, selected, joint, rng)
+        selected, joint = _refined(candidates, selected, joint, rng, given)
+    selected, joint = _with_named_parts(candidates, selected, joint, rng, given)
+    if len(records) > 1 and selected:
+        beside = []
+    elif len(selected) == MOST_EFFECTS or _as_chosen(selected) != chosen:
+        beside = _candidates_beside(candidates, joint, rng, selected)
     joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
     selected = _without_others_rivals(selected, joint)
-    return Search(tuple(selected), null, joint, unreplicated, () if selected else first)
+    return Search(tuple(selected), null, joint, unreplicated_of(beside, beside_others=bool(selected)), tuple(beside))
+
+
+def _as_chosen(selected: Sequence[Selected]) -> list[tuple[str, dict[str, Any]]]:
+    return [(each.name, each.fitted.parameters) for each in selected]
+
+
+def _candidates_beside(
+    candidates: Candidates, joint: JointFit, rng: np.random.Generator, selected: Sequence[Selected]
+) -> list[FittedCandidate]:
+    # lines and jumps would pass for a coefficient that differs from run to run
+    repeats = not differing_terms(joint)
+    return fitted_candidates(candidates, joint, rng, [each.name for each in selected], with_events=repeats)
 
 
 def provisional(found: Search) -> Search | None:
@@ -132,13 +147,13 @@ def provisional(found: Search) -> Search | None:
 
     Its look-alikes are those that would be confounded with it if all of them replicated.
     """
-    every = [as_if_replicated(each) for each in found.first if each.is_common]
+    every = [as_if_replicated(each) for each in found.beside if each.is_common]
     best = _chosen(sorted(every, key=lambda each: -each.evidence))
-    if best is None:
+    if best is None or len(found.selected) >= MOST_EFFECTS:
         return None
-    records = found.joint.records
-    joint = fit_jointly(records, _hypothesis_of(records, [best]), found.joint.noises, restricted=True)
-    return replace(found, selected=(best,), joint=joint, unreplicated=(), first=())
+    records, selected = found.joint.records, (*found.selected, best)
+    joint = fit_jointly(records, _hypothesis_of(records, selected), found.joint.noises, restricted=True)
+    return replace(found, selected=selected, joint=joint, unreplicated=(), beside=())
 
 
 def _with_pair(
@@ -161,17 +176,26 @@ def _with_pair(
 
 
 def _with_named_parts(
-    candidates: Candidates, selected: list[Selected], joint: JointFit, rng: np.random.Generator
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+    given: Sequence[Selected],
 ) -> tuple[list[Selected], JointFit]:
     """Replace a general function by named effects of its channel, if their sum explains as much."""
-    for function in [each for each in selected if each.fitted.effect.kind is EffectKind.FUNCTION]:
+    functions = [
+        each
+        for each in selected
+        if each.fitted.effect.kind is EffectKind.FUNCTION and each.name not in [one.name for one in given]
+    ]
+    for function in functions:
         others = [each for each in selected if each is not function]
         base = fit_jointly(joint.records, _hypothesis_of(joint.records, others), joint.noises)
         parts = named_parts(candidates, function.fitted, base)
         if not parts or len(others) + len(parts) > MOST_EFFECTS:
             continue
         both = [*others, *(Selected(each, (), ()) for each in parts)]
-        refined, after = _refined(candidates, both, parts[0].joint, rng)
+        refined, after = _refined(candidates, both, parts[0].joint, rng, given)
         if not any(each.fitted.effect.kind is EffectKind.FUNCTION for each in refined):
             return refined, after
     return selected, joint
@@ -232,12 +256,17 @@ def _is_named(candidate: FittedCandidate) -> bool:
 
 
 def _refined(
-    candidates: Candidates, selected: list[Selected], joint: JointFit, rng: np.random.Generator
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+    given: Sequence[Selected] = (),
 ) -> tuple[list[Selected], JointFit]:
-    """Select each effect again beside the others, and drop those that become unnecessary."""
+    """Select each effect that is not given again beside the others, and drop those that become unnecessary."""
+    kept = [each.name for each in given]
     for _ in range(_MOST_SWEEPS):
         before = [each.name for each in selected]
-        for old in [each for each in selected if each.is_common]:
+        for old in [each for each in selected if each.is_common and each.name not in kept]:
             others = [each for each in selected if each is not old]
             base = fit_jointly(joint.records, _hypothesis_of(joint.records, others), joint.noises)
             taken = [each.name for each in others]

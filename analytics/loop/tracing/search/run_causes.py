@@ -83,7 +83,7 @@ def run_cause(candidates: Candidates, found: Search, record: UnitRecord) -> RunC
         is_in_training=is_in_training and within is None, within=within,
     )  # fmt: skip
     selected = (Selected(fitted, tuple(others), ()),)
-    return RunCause(replace(found, selected=selected, joint=joint, unreplicated=(), first=()), test)
+    return RunCause(replace(found, selected=selected, joint=joint, unreplicated=(), beside=()), test)
 
 
 def _p_value(tried: _Tried) -> float:

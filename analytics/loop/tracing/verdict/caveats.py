@@ -130,6 +130,16 @@ def no_size_caveat(found: FoundEffect) -> Bilingual:
     )
 
 
+def seen_once_caveat(found: FoundEffect) -> Bilingual:
+    """What one training run shows beside the effects that were found: it is in the noise."""
+    name = registry.effect_name(found.name)
+    return Bilingual(
+        f"{name}: one training run alone shows it, beside the effects that were found; it is not in the model, so that "
+        "the noise stands for it: measure more runs that excite it",
+        f"{name.zh}：在所发现的效应之外，仅一次训练试验显示该效应；模型不含它，噪声中包含其影响：请补测能激励它的试验",
+    )
+
+
 def _steps_at(values: FloatArray, at: int) -> bool:
     """Whether a channel changes within two blocks of a place by a third of its range in the run, between plateaus."""
     before, after = values[max(at - _PLATEAU, 0) : max(at - 1, 0)], values[at + 2 : at + 1 + _PLATEAU]

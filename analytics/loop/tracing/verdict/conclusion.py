@@ -17,7 +17,7 @@ from analytics.loop.tracing.held_out.held_out_set import HeldOutSet, judge, open
 from analytics.loop.tracing.held_out.run_walk import against_walk, follow_order
 from analytics.loop.tracing.held_out.sole_run import sole_runs
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, FoundEffect, ModelVerdict
-from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
+from analytics.loop.tracing.result.holdout import ErrorTable, HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.effect_search import Search, provisional
 from analytics.loop.tracing.search.screening import Candidates, screen
 from analytics.loop.tracing.verdict import noise_agreement as agreement
@@ -27,6 +27,7 @@ from analytics.loop.tracing.verdict.caveats import (
     differing_caveats,
     hidden_delay_caveat,
     no_size_caveat,
+    seen_once_caveat,
     undetermined_terms,
     unexplained_error,
     weak_terms,
@@ -67,7 +68,6 @@ def conclude(
 ) -> Diagnosis:
     """The diagnosis of one unit; see `diagnosis.diagnose`."""
     training = case.training
-    found = _replicated_later(case, found)
     by_runs = cause_of_biases(case, candidates, found)
     found = found if by_runs is None else by_runs.found
     every = [with_causes(each, case.stack.runs, model.effects) for each in bounded_findings(candidates, found)]
@@ -102,7 +102,8 @@ def conclude(
     if AGEING not in model.effects:
         along = follow_order(box, kept)
         effects = tuple(with_ageing(each) if each.name in along else each for each in effects)
-    limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
+    named = [*(each.name for each in effects), *(each.name for each in found.unreplicated if found.selected)]
+    limits, blind = detection_limits(candidates, kept.joint, named, tests)
     undetermined = undetermined_terms(case, model.labels())
     scatter = agreement.run_scatter(box.record, noises[0])
     alone = holdout_caveats(holdout, [each for each in refused if each.sole_run is not None])
@@ -132,7 +133,9 @@ def conclude(
     effects = tuple(
         msgspec.structs.replace(each, confirmed=None) if at in unsized else each for at, each in enumerate(effects)
     )
-    seen_once = (*refused, *(unreplicated(found.unreplicated) if not found.selected else ()))
+    once = _seen_once(case, found)
+    remarks += map(seen_once_caveat, once if found.selected else ())
+    seen_once = (*refused, *once)
     walks = [
         each
         for each in effects
@@ -212,19 +215,31 @@ class _Answered(NamedTuple):
     worse: tuple[Bilingual, ...]
 
 
-def _replicated_later(case: Case, found: Search) -> Search:
+def _seen_once(case: Case, found: Search) -> list[FoundEffect]:
+    """What one training run alone shows; not confirmed where the held-out runs excite it, and do not show it."""
+    seen = unreplicated(found.unreplicated, as_one=bool(found.selected))
+    slope = _slope_later(case, found) if seen else None
+    if slope is None or slope.answer is not HeldOutAnswer.REFUSED:
+        return seen
+    return [msgspec.structs.replace(each, confirmed=False) if each.name == slope.effect else each for each in seen]
+
+
+def replicated_later(case: Case, found: Search) -> Search | None:
     """The search with an effect that one training run shows, if held-out runs show it as well, far beyond chance."""
-    if not case.held_out or found.selected or case.replication == "within_run":
-        return found
-    tried = provisional(found)
+    slope = _slope_later(case, found)
+    if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
+        return None
+    return provisional(found)
+
+
+def _slope_later(case: Case, found: Search) -> HoldoutSlope | None:
+    """The answer of the held-out runs on the best effect that one training run shows; None if there is none."""
+    tried = None if not case.held_out or case.replication == "within_run" else provisional(found)
     if tried is None:
-        return found
+        return None
     box = open_held_out_set(case.stack, case.held_out_blocks, case.training, tried)
     answer = against_walk(judge([box], tried, case.held_out), [box], tried)
-    slope = None if answer is None else answer.slope(tried.selected[0].name)
-    if slope is None or not slope.accepted or slope.slope < BEYOND_CHANCE * slope.slope_se:
-        return found
-    return tried
+    return None if answer is None else answer.slope(tried.selected[-1].name)
 
 
 def _answered(case: Case, found: Search) -> _Answered:

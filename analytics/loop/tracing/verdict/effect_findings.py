@@ -136,10 +136,10 @@ def _stood_still(cause: Effect, runs: Sequence[RunBlocks]) -> bool:
     return has_readings and cause.unavailable(runs) is not None
 
 
-def unreplicated(fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:
-    """Candidates with evidence from one replicate only."""
+def unreplicated(fitted_candidates: Sequence[FittedCandidate], *, as_one: bool = False) -> list[FoundEffect]:
+    """Candidates with evidence from one replicate only; `as_one` with the others as alternatives of the first."""
     every = []
-    for each in fitted_candidates:
+    for each in fitted_candidates[:1] if as_one else fitted_candidates:
         if each.is_common:
             at = slice(each.joint.common.coefficients.size - each.columns[0].shape[1], None)
             coefficients = _coefficients(each, each.joint.common.coefficients[at], each.joint.common.covariance[at, at])
@@ -148,7 +148,8 @@ def unreplicated(fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffe
             values = np.concatenate([solution.coefficients[start:] for solution, start in last])
             variance = np.concatenate([np.diag(solution.covariance)[start:] for solution, start in last])
             coefficients = _event_coefficients(each, values, variance)
-        every.append(_basic(each, coefficients, replicates=False))
+        others = tuple(_confounded(other, each) for other in fitted_candidates[1:] if as_one)
+        every.append(msgspec.structs.replace(_basic(each, coefficients, replicates=False), confounded=others))
     return every
 
 
