@@ -12,6 +12,11 @@ from stream.batch import FloatArray
 
 _HALF_WIDTHS = (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032)
 _WIDE_HALF_WIDTHS = (0.045, 0.064, 0.09, 0.13, 0.18, 0.25, 0.32)  # where every rate is beyond the others
+_NEXT_WIDTH, _MOST_NARROW = (
+    2.0**0.5,
+    20,
+)  # where the table stays at smaller rates: down to 1 of a million of the largest
+_BEYOND_SPREAD, _LEAST_OF_LARGEST = 3.0, 1e-6
 _LIMITS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 
 EFFECTS = (
@@ -133,8 +138,12 @@ class DeadZone(Effect):
         found = super().shapes(runs)
         widths = [positive(shape, "half_width") for shape in found]
         rates = np.abs(np.concatenate([run.mean("input_rate") for run in runs])) if found else np.empty(0)
-        if not found or ((rates > 0.5 * widths[0]) & (rates < widths[-1])).any():
+        if not found:
             return found
+        smallest = _smallest_turning(runs)
+        narrow = [w for n in range(_MOST_NARROW, 0, -1) if (w := widths[0] * _NEXT_WIDTH**-n) > smallest]
+        if narrow or ((rates > 0.5 * widths[0]) & (rates < widths[-1])).any():
+            return [*({"half_width": float(f"{each:.3g}")} for each in narrow), *found]
         scale = widths[-1] / _HALF_WIDTHS[-1]
         return [{"half_width": float(f"{part * scale:.3g}")} for part in _WIDE_HALF_WIDTHS]
 
@@ -145,6 +154,15 @@ class DeadZone(Effect):
         rate = channels["input_rate"]
         seen = np.where(np.abs(rate) >= positive(shape, "half_width"), rate, 0.0)
         return coefficients[0] * (rate - seen)
+
+
+def _smallest_turning(runs: Sequence[RunBlocks]) -> float:
+    """The smallest magnitude of the rates at which the table stays, beyond the spread of the readings."""
+    channels = [run.channels["input_rate"] for run in runs]
+    rate, spread = (np.concatenate(each) for each in ([c.mean for c in channels], [c.spread for c in channels]))
+    rate = np.abs(rate)
+    turning = rate[rate > np.fmax(_BEYOND_SPREAD * spread, _LEAST_OF_LARGEST * np.nanmax(rate))]
+    return float(np.quantile(turning, 0.01)) if turning.size else np.inf
 
 
 class Saturation(Effect):

@@ -15,7 +15,7 @@ from analytics.loop.tracing.result.diagnosis_result import (
     FoundEffect,
     ModelVerdict,
 )
-from analytics.loop.tracing.result.holdout import HeldOutAnswer
+from analytics.loop.tracing.result.holdout import HeldOutAnswer, HoldoutSlope
 from analytics.loop.tracing.verdict.adequacy import WRONG_FORM
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
 
@@ -66,19 +66,7 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
     if slope is not None and slope.tells_nothing:
         yield words.of("The held-out runs have nothing that tells of it.", "留出试验没有可供判别的数据。")
     elif slope is not None:
-        value = slope_text(slope, 3)
-        answer = words.of(*_ANSWERS[slope.answer])
-        if slope.sole_run is not None:
-            answer = words.of("no confirmation, since ", "不作为证实，因") + sole_run(slope.sole_run, words)
-        elif slope.may_be_walk:
-            answer = words.of(*_WALKS[slope.answer])
-        elif not slope.is_independent:
-            answer = words.of(
-                "no confirmation, since the training runs alone do not show it",
-                "不作为证实，因训练试验单独未显示该效应",
-            )
-        elif slope.answer is HeldOutAnswer.CONFIRMED and found.has_no_size:
-            answer = words.of("no confirmation, since its bounds contain zero", "不作为证实，因其区间含零")
+        value, answer = slope_text(slope, 3), _answer(found, slope, words)
         yield words.of(
             f"Held-out runs, coefficients frozen: slope {value} of the residual on the prediction (1 if right): "
             f"{answer}.",
@@ -99,6 +87,23 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
             f"Its form does not fit: the residual depends on {channels} in another way.",
             f"其形式不符：残差以其他方式随{channels}变化。",
         )
+
+
+def _answer(found: FoundEffect, slope: HoldoutSlope, words: Wording) -> str:
+    """The answer of the held-out runs on an effect."""
+    if slope.sole_run is not None:
+        return words.of("no confirmation, since ", "不作为证实，因") + sole_run(slope.sole_run, words)
+    if slope.raises_error:
+        return words.of("contradicted, since the RMS error is larger with it", "与之相矛盾，因加入后均方根误差更大")
+    if slope.may_be_walk:
+        return words.of(*_WALKS[slope.answer])
+    if not slope.is_independent:
+        return words.of(
+            "no confirmation, since the training runs alone do not show it", "不作为证实，因训练试验单独未显示该效应"
+        )
+    if slope.answer is HeldOutAnswer.CONFIRMED and found.has_no_size:
+        return words.of("no confirmation, since its bounds contain zero", "不作为证实，因其区间含零")
+    return words.of(*_ANSWERS[slope.answer])
 
 
 def _of_biases(found: FoundEffect, test: BiasTest, words: Wording) -> str:

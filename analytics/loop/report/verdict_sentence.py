@@ -15,6 +15,9 @@ from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, Hold
 from analytics.loop.tracing.search.fitted_candidates import JUMP
 
 _OR, _AND = ("or", "或"), ("and", "和")
+_OF_MEANS = (
+    0.1  # ratio of the squared errors that fall within runs and in their means, below which it acts on the means
+)
 _FROM_ONE = 0.9  # share of the evidence from one run that is the reason why an effect does not replicate
 
 
@@ -211,6 +214,8 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
             f"{name} was seen, but {share} of its evidence comes from one run",
             f"见到{name}，但其证据的{share}来自同一次试验",
         )
+    if slope is not None and slope.raises_error:
+        return f"{sized}{words.of('; ', '；')}{_contradicted(diagnosis, slope, words)}"
     if diagnosis.holdout is None:
         return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
     if slope is not None and slope.may_be_walk:
@@ -311,6 +316,8 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
         alone = [each.sole_run for each in undecided if each.sole_run is not None]
         if alone:
             return f"{words.of('; ', '；')}{sole_run(alone[0], words)}"
+        if any(each.raises_error for each in undecided):
+            return f"{words.of('; ', '；')}{_contradicted(diagnosis, diagnosis.holdout.total, words)}"
         if any(each.may_be_walk for each in undecided):
             return words.of(
                 f"; the held-out runs do not confirm {them}: a bias that walks from run to run explains the runs about "
@@ -330,6 +337,19 @@ def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
     return words.of(f"; {count} held-out {runs} {them} (slope {slope})", f"；{count}次留出试验予以证实（斜率{slope}）")
 
 
+def _contradicted(diagnosis: Diagnosis, slope: HoldoutSlope, words: Wording) -> str:
+    """The held-out runs contradict an effect: their error rises with it."""
+    row, size = None if diagnosis.error is None else diagnosis.error.reference, slope_text(slope)
+    if diagnosis.error is None or row is None:
+        return words.of("the held-out runs contradict it", "留出试验与之相矛盾")
+    before, after = number(row.before), f"{number(row.after)} {diagnosis.error.unit_of_measure}"
+    return words.of(
+        f"the held-out runs contradict it: with it their RMS error over {row.averaging_s:g} s goes from {before} to "
+        f"{after} (slope {size})",
+        f"留出试验与之相矛盾：加入后其{row.averaging_s:g} s均方根误差由{before}变为{after}（斜率{size}）",
+    )
+
+
 def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     table = diagnosis.error
     row = None if table is None else table.reference
@@ -343,6 +363,14 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
         f", and the RMS error over {seconds} {where[0]} {falls} from {before} to {after}{mark}",
         f"，{where[1]}{seconds}均方根误差由{before}变为{after}{mark}",
     )
+    most = table.most_gained
+    if most is not None and row.after > row.before:  # it acts within less time
+        text = words.of(
+            f", and the RMS error over {most.averaging_s:g} s {where[0]} falls from {number(most.before)} to "
+            f"{number(most.after)} {table.unit_of_measure}; over {seconds} it goes from {before} to {after}{mark}",
+            f"，{where[1]}{most.averaging_s:g} s均方根误差由{number(most.before)}变为{number(most.after)} "
+            f"{table.unit_of_measure}；{seconds}的由{before}变为{after}{mark}",
+        )
     if row.gain.runs < 2 or row.gain_within is None:
         return text
     before, after, noise = (number(each) for each in (row.before_within, row.after_within, row.floor_within))
@@ -354,8 +382,10 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     expected = table.gain
     if expected is None or expected.lo is None or expected.hi is None or not mark or not table.is_held_out:
         return text
+    within = row.before_within**2 - row.after_within**2
+    of_means = row.before**2 - row.after**2 - within
     shifts = abs(expected.fraction) < LEAST_SHARE or all(each.of_biases for each in diagnosis.effects)
-    if shifts:  # whole runs
+    if shifts or within < _OF_MEANS * of_means:  # whole runs
         return text
     falls, lo, hi = (f"{percent(each)} %" for each in (expected.fraction, expected.lo, expected.hi))
     its = ("its square", "其平方")

@@ -8,7 +8,13 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray
 
 BLOCKS, BLOCK_S, WHITE = 80, 30.0, 0.1
-UNITS = {"input_rate": "deg/s", "temperature": "degC", "supply_voltage": "V", "rate_y": "deg/s"}
+UNITS = {
+    "time_since_power_on": "s",
+    "input_rate": "deg/s",
+    "temperature": "degC",
+    "supply_voltage": "V",
+    "rate_y": "deg/s",
+}
 
 
 def run_of(

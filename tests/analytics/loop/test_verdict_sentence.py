@@ -135,6 +135,7 @@ def test_caveats_name_effects_in_the_words_of_the_field() -> None:
         HoldoutSlope(found.name, 0.4, 0.1, 0.1, accepted=True, answer=HeldOutAnswer.CONFIRMED),
         HoldoutSlope(found.name, 1.0, 0.1, 0.1, accepted=False, walk_log_odds=0.0),
         HoldoutSlope(found.name, 1.0, 0.1, 0.1, accepted=False, is_independent=False),
+        HoldoutSlope(found.name, 1.0, 0.1, 0.1, accepted=False, answer=HeldOutAnswer.NO_POWER, raises_error=True),
     ]
     texts = [each for one in held_out for each in holdout_caveats(Holdout(("r",), one, (one,)), [found])]
     assert len(texts) == len(held_out)
@@ -154,3 +155,22 @@ def test_shares_are_without_the_noise_of_rounding() -> None:
         msgspec.structs.replace(diagnosis, error=msgspec.structs.replace(error, rows=rows, gain=gain)), Wording("en")
     )
     assert "is expected to fall by 100 % (0 % to 100 %)" in text
+
+
+def test_a_gain_about_the_mean_is_not_stated_of_an_effect_on_means() -> None:
+    diagnosis = diagnosed().diagnosis
+    error = diagnosis.error
+    assert error is not None
+    rows = tuple(
+        msgspec.structs.replace(
+            each, before=0.308, after=0.0175, before_within=0.00727, after_within=0.00717,
+            gain_within=ErrorGain(0.001, -0.1, 0.1, 3),
+        )
+        for each in error.rows
+    )  # fmt: skip
+    gain = ExpectedGain(0.0011, 0.001, 0.0012, 3, averaging_s=1800.0)
+    text = verdict_sentence(
+        msgspec.structs.replace(diagnosis, error=msgspec.structs.replace(error, rows=rows, gain=gain)), Wording("en")
+    )
+    assert "from 0.308 to 0.0175" in text
+    assert "expected to fall" not in text

@@ -8,6 +8,7 @@ import msgspec
 REFERENCE_S = 1800.0  # averaging time at which errors are compared, if the runs are long enough
 WALK_LOG_ODDS = 3.0  # odds of 20 that decide between an effect and a bias that walks from run to run
 LEAST_ERROR = 1e-100  # of a slope; below it nothing was predicted
+MUCH_GAINED = 0.5  # of the squared error
 _PARTS = ("before", "after", "floor", "before_within", "after_within", "floor_within")
 
 
@@ -25,9 +26,10 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
 
     Accepted if slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large effect,
     the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2. Confirmed if accepted
-    and 1.64*SE <= 1. Refused if the slope is three times as likely without the effect as with it, or differs from one
-    by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope. An
-    effect that shifts whole runs is confirmed only if it is 20 times as likely as a bias that walks from run to run.
+    and 1.64*SE <= 1. Refused if the slope is three times as likely without the effect as with it, or differs from
+    one by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope,
+    and one that raises it is not confirmed. An effect that shifts whole runs is confirmed only if it is 20 times as
+    likely as a bias that walks from run to run.
     """
 
     effect: str  # name; ``all`` for the sum of all
@@ -40,6 +42,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     walk_log_odds: float | None = None
     is_independent: bool = True  # whether the training runs name the effect without them
     sole_run: str | None = None  # the only run that shows the effect
+    raises_error: bool = False  # the RMS error of the held-out runs is larger with it: they contradict it
 
     @property
     def tells_nothing(self) -> bool:
@@ -76,6 +79,12 @@ def _resting_on(slope: HoldoutSlope, run: str) -> HoldoutSlope:
     if slope.answer is not HeldOutAnswer.CONFIRMED:
         return judged
     return msgspec.structs.replace(judged, accepted=False, answer=HeldOutAnswer.NO_POWER)
+
+
+def _raising(slope: HoldoutSlope) -> HoldoutSlope:
+    if slope.answer is not HeldOutAnswer.CONFIRMED:
+        return slope
+    return msgspec.structs.replace(slope, accepted=False, answer=HeldOutAnswer.NO_POWER, raises_error=True)
 
 
 class Holdout(msgspec.Struct, frozen=True):
@@ -146,6 +155,16 @@ class Holdout(msgspec.Struct, frozen=True):
             total=_resting_on(self.total, run) if is_only else self.total,
             effects=tuple(_resting_on(e, run) if e.effect == name else e for e in self.effects),
         )
+
+    def raising_error(self) -> "Holdout":
+        """The answers where the RMS error rises with the effects: none is confirmed."""
+        effects = tuple(map(_raising, self.effects))
+        return msgspec.structs.replace(self, total=_raising(self.total), effects=effects)
+
+    def raises_error(self, name: str) -> bool:
+        """Whether the RMS error of the held-out runs is larger with an effect that would else be confirmed."""
+        slope = self.slope(name)
+        return slope is not None and slope.raises_error
 
     def confirms(self, name: str) -> bool | None:
         """Whether an effect is confirmed; None without power or test."""
@@ -227,6 +246,18 @@ class ErrorTable(msgspec.Struct, frozen=True):
         rows = [row for row in self.rows if row.averaging_s <= REFERENCE_S]
         rows = [row for row in rows if row.before_within > 0] or rows
         return max(rows, key=lambda row: row.averaging_s, default=None)
+
+    @property
+    def most_gained(self) -> ErrorAt | None:
+        """The averaging time at which the squared error falls most, if by half at least, beyond chance where known."""
+
+        def gain(row: ErrorAt) -> float:
+            return (
+                -1.0 if row.gain is None or not (row.gain.lo is None or row.gain.is_significant) else row.gain.fraction
+            )
+
+        best = max(self.rows, key=gain, default=None)
+        return best if best is not None and gain(best) >= MUCH_GAINED else None
 
     def document(self) -> dict[str, Any]:
         """JSON form."""

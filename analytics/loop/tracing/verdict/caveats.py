@@ -63,6 +63,7 @@ def caveats(
     if is_excess:
         found.append(_EXCESS)
     found += _shape_caveats(effects)
+    found += _end_caveats(case, effects)
     block_s = case.training.noise_model.block_s
     events = _event_caveats([each.name for each in effects], block_s)
     return (*found, *holdout_caveats(holdout, effects), *events, *_coincidences(case, effects))
@@ -89,6 +90,26 @@ def _shape_caveats(effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
         f"bounds of coefficients hold for the parameters as given, whose own uncertainty is not in them: {listing}",
         f"系数的区间以所给参数为前提，不含参数本身的不确定度：{listing_zh}",
     )
+
+
+def _end_caveats(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
+    """Effects whose shape parameter is at an end of the values that were tried: it may be beyond."""
+    for found in effects:
+        own = registry.effect(found.name)
+        if len(own.parameters) != 1 or found.parameter_bounds or found.name in {JUMP, LINE}:
+            continue
+        (parameter,) = own.parameters
+        tried = [each.get(parameter.name) for each in own.shapes(case.training.stack.runs)]
+        known, value = [each for each in tried if isinstance(each, int | float)], found.parameters[parameter.name]
+        if len(known) < 2 or value not in (min(known), max(known)):
+            continue
+        name, size = registry.effect_name(found.name), f"{value:g}"
+        end = Bilingual("smallest", "最小") if value == min(known) else Bilingual("largest", "最大")
+        way = Bilingual("smaller", "更小") if value == min(known) else Bilingual("larger", "更大")
+        yield Bilingual(
+            f"{name}: {parameter.en} {size} is the {end} value tried; it may be {way}, and the coefficient another one",
+            f"{name.zh}：{parameter.zh}{size}为所试的{end.zh}值，实际可能{way.zh}，系数也将不同",
+        )
 
 
 def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:

@@ -50,6 +50,7 @@ from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
+RAISED = 1.05  # the same, from which it is not confirmed; where the error within runs falls significantly, FAR_WORSE is
 # standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
 BEYOND_CHANCE = 3.29
 FUNCTION = "function_of_"  # prefix of the names of free functions
@@ -140,7 +141,7 @@ def conclude(
         each
         for each in effects
         if each.sole_run is not None
-        or (holdout is not None and holdout.may_be_walk(each.name))
+        or (holdout is not None and (holdout.may_be_walk(each.name) or holdout.raises_error(each.name)))
         or (each.of_biases and not each.confirmed)
     ]
     is_excess = declared is not None and excess.is_excess
@@ -261,10 +262,13 @@ def _answered(case: Case, found: Search) -> _Answered:
         box = whole if kept is found else open_held_out_set(case.stack, case.held_out_blocks, case.training, kept)
         error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
         row, shares = error.reference, error_shares(box, kept)
-        is_worse = (
-            row is not None and row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
-        )
-        if holdout is None or row is None or not shares or not is_worse:
+        if row is None or error.most_gained is not None:  # an effect of seconds adds noise at best to averages of hours
+            return _Answered(holdout, whole, kept, box, error, tuple(worse))
+        is_worse = row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
+        if holdout is None or not shares or not is_worse:
+            falls_within = row.gain_within is not None and row.gain_within.is_significant
+            if holdout is not None and row.after > (FAR_WORSE if falls_within else RAISED) * row.before:
+                holdout = holdout.raising_error()
             return _Answered(holdout, whole, kept, box, error, tuple(worse))
         worst = min(shares, key=lambda name: shares[name])
         holdout = holdout.refusing(worst)

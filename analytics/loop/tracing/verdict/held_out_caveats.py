@@ -27,6 +27,12 @@ def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> 
                 f"{name.zh}：仅试验{slope.sole_run}显示该效应，该次试验可能因其他原因而不同；其余试验不能予以证实"
                 f"{zh}：请补测与其条件相同的试验",
             )
+        elif slope.raises_error:
+            yield Bilingual(
+                f"{name}: the held-out runs contradict it, since their RMS error is larger with it, although its slope "
+                f"is {size}: its form or its size is not right there",
+                f"{name.zh}：尽管斜率为{size}，加入后留出试验的均方根误差更大，故与之相矛盾：其形式或大小在该处不成立",
+            )
         elif slope.may_be_walk:
             yield _walk_caveat(slope)
         elif not slope.is_independent:
