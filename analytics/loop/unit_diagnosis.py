@@ -26,6 +26,7 @@ from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, signifi
 from analytics.loop.tracing.processors import Spread, by_processes, of_records, single_blas
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.unit_reduction import Progress, Question, ReducedUnit, ReducedUnits, model_on, reduce_units, silent
+from analytics.loop.unread_outputs import with_unread_outputs
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, NotFound
 
@@ -221,8 +222,11 @@ def trace_units(
     units = {
         unit: replace(
             each,
-            diagnosis=with_station_levels(
-                with_station(each.diagnosis, rival, unit), each.data.runs, each.data.stations, read.models[unit]
+            diagnosis=with_unread_outputs(
+                with_station_levels(
+                    with_station(each.diagnosis, rival, unit), each.data.runs, each.data.stations, read.models[unit]
+                ),
+                each.data.notes,
             ),
         )
         for unit, each in found.units.items()

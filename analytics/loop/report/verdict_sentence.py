@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from analytics.loop.effects.channel_names import channel_name
 from analytics.loop.effects.events import STATION, TURN_ON
 from analytics.loop.report.wording import LEAST_SHARE, Wording, number, percent, slope_text, sole_run
 from analytics.loop.tracing.result.diagnosis_result import (
@@ -180,8 +181,7 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     name = words.listed([words.effect(found), *(_alternative(other, words) for other in alternatives)], _OR)
     sized = _sized(found, words)
     if found.name == JUMP:
-        size = words.coefficient(found)
-        return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
+        return _jumped(found, name, words)
     slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
     if found.of_biases is not None:
         return _followed(found, found.of_biases, slope, words)
@@ -226,6 +226,18 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     return words.of(
         f"{sized}; the held-out runs excite it too little and can neither confirm nor refuse it",
         f"{sized}；留出试验对该效应激励不足，既不能证实也不能否定",
+    )
+
+
+def _jumped(found: FoundEffect, name: str, words: Wording) -> str:
+    """A jump, and the channels that step with it."""
+    size = words.coefficient(found)
+    once = words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
+    if not found.coincides:
+        return once
+    en, zh = (words.listed([channel_name(each)[n] for each in found.coincides], _OR) for n in (0, 1))
+    return once + words.of(
+        f", which cannot be told apart from the steps of {en} at that time", f"，无法与{zh}同时发生的阶跃区分"
     )
 
 
@@ -285,21 +297,21 @@ def _followed(found: FoundEffect, test: BiasTest, slope: HoldoutSlope | None, wo
 
 
 def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
+    seen = [_seen_once(each, diagnosis, words) for each in (*diagnosis.effects, *diagnosis.unreplicated)]
+    beside = "".join(words.of("; also, ", "；另") + each for each in seen)
     if diagnosis.unexplained is not None:
         why = words.text(diagnosis.unexplained)
         return words.of(
-            f"the declared model lacks something that no effect tested explains: {why}",
-            f"存在缺项，但所检验的效应均不能解释：{why}",
+            f"the declared model lacks something that no effect tested explains: {why}{beside}",
+            f"存在缺项，但所检验的效应均不能解释：{why}{beside}",
         )
     if len(diagnosis.effects) > 1:
-        effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
+        effects = _joined(seen[: len(diagnosis.effects)], _AND, words)
         return words.of(
             f"the error has changes that happened once each and that no channel explains in all runs alike: {effects}",
             f"误差有若干仅出现一次的变化，没有通道能在各次试验中一致地解释：{effects}",
         )
     ratio = number(diagnosis.noise_excess)
-    seen = [_seen_once(each, diagnosis, words) for each in (*diagnosis.effects, *diagnosis.unreplicated)]
-    beside = "".join(words.of("; also, ", "；另") + each for each in seen)
     return words.of(
         f"at averages of 300 to 3600 s the variance is {ratio} times that of the noise declared, or else fitted to the "
         f"unit's own Allan curves, and no channel explains it{beside}",

@@ -63,7 +63,7 @@ def test_a_shape_at_the_end_of_what_was_tried_is_stated() -> None:
     runs = []
     for number in range(6):
         start = 3000.0 * number
-        since = start + (np.arange(BLOCKS) + 0.5) * BLOCK_S
+        since = np.asarray(start + (np.arange(BLOCKS) + 0.5) * BLOCK_S, np.float64)
         runs.append(run_of(rng, number, 3.0 * np.exp(-since / 1e5), {"time_since_power_on": since}))
     noise = ModelNoise(N=N, B=0.003, K=0.003, turn_on=0.02)
     found = diagnose(runs, ErrorModel.parse("rate = bias"), declared_noise=noise)

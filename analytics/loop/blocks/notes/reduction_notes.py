@@ -15,6 +15,9 @@ _BLOCKS_A_RATE, _FEWEST_A_RATE = 8, 4  # that fit into a rate that is held, one 
 LEAST_SHARE = 0.2  # part of the usual number of samples that a block must have
 
 
+OUTPUT = "output"  # of a note on outputs of a unit that are no channels
+
+
 @dataclass(frozen=True)
 class Note:
     """Something that was left out, assumed or looks wrong."""

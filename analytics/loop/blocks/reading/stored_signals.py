@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.blocks.notes.reduction_notes import Note
+from analytics.loop.blocks.notes.reduction_notes import OUTPUT, Note
 from analytics.loop.blocks.pieces import Grid, SignalKey
 from analytics.loop.blocks.reading.channels import standard_unit
 from analytics.loop.blocks.run_blocks import SECOND_NS
@@ -218,7 +218,7 @@ def sources_of(
             "such as gravity_i",
             f"{unit}的{names}与{signal}同为产品输出，不作为通道；参考量请以标准名导入，如gravity_i",
         )
-        notes.append(Note("output", text))
+        notes.append(Note(OUTPUT, text))
     chosen: dict[str, list[ChannelSource]] = {}
     several: dict[tuple[str, str], set[str]] = {}
     for run, by_name in found.items():

@@ -102,6 +102,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
     # share of the squared held-out error about the mean of each run that it takes away; None if it predicts nothing
     error_share: float | None = None
     sole_run: str | None = None  # the run without which the biases of the others do not show it
+    coincides: tuple[str, ...] = ()  # of a jump: channels that step at the same time, which may be its cause
     of_biases: BiasTest | None = None  # if the search did not find it, but the biases of all runs follow it
 
     @property
@@ -138,6 +139,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
             "error_share": self.error_share,
             "by_run": {run: {"coefficient": value, "se": se} for run, (value, se) in self.by_run.items()},
             "sole_run": self.sole_run,
+            "coincides": list(self.coincides),
             "of_biases": msgspec.to_builtins(self.of_biases),
         }
 

@@ -16,6 +16,7 @@ from analytics.loop.tracing.result.holdout import ErrorTable, Holdout
 from analytics.loop.tracing.search.differing_terms import differing_terms
 from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats
+from analytics.loop.tracing.verdict.jump_rivals import coincidences
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.stack import UnitRecord
 from stream.batch import FloatArray
@@ -27,7 +28,6 @@ DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"
 _MOST_NAMED = 3
 _COLLINEAR = 1e-6  # length of what a column adds to the others, over its own
 _MUCH_INFLATED = 1e4  # variance by what it is where the columns are orthogonal: the column adds a hundredth
-_PLATEAU = 6  # blocks before and after a step in which the channel has to be constant
 _NO_NOISE = Bilingual(
     "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
     "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
@@ -66,7 +66,7 @@ def caveats(
     found += _end_caveats(case, effects)
     block_s = case.training.noise_model.block_s
     events = _event_caveats([each.name for each in effects], block_s)
-    return (*found, *holdout_caveats(holdout, effects), *events, *_coincidences(case, effects))
+    return (*found, *holdout_caveats(holdout, effects), *events, *coincidences(effects))
 
 
 def _shape_caveats(effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
@@ -112,26 +112,6 @@ def _end_caveats(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingu
         )
 
 
-def _coincidences(case: Case, effects: Sequence[FoundEffect]) -> Iterator[Bilingual]:
-    """Channels that step where the bias jumps: what they cause may differ in that run."""
-    for found in effects:
-        if found.name != JUMP:
-            continue
-        name, at_s = str(found.parameters["run"]), float(found.parameters["at_s"])
-        run = next(each for each in case.stack.runs if each.run == name)
-        at = int(np.searchsorted(run.slot, round(at_s / run.block_s)))
-        stepping = [each for each in sorted(run.channels) if _steps_at(run.mean(each), at)]
-        if stepping:
-            channels, channels_zh = ", ".join(stepping), "、".join(stepping)
-            verb = "steps" if len(stepping) == 1 else "step"
-            yield Bilingual(
-                f"jump in run {name} at {at_s:,.0f} s: {channels} {verb} there, so that the coefficient of an effect "
-                "of it, such as the scale factor, may differ in this run instead",
-                f"试验{name}在{at_s:,.0f} s处的跳变：{channels_zh}在该处阶跃，也可能是其效应的系数"
-                "（如标度因数）在该次试验中不同",
-            )
-
-
 def hidden_delay_caveat(found: FoundEffect) -> Bilingual:
     """An effect that may be what is left of joining a gyro and a rate reference of two sample rates."""
     name = registry.effect_name(found.name)
@@ -159,15 +139,6 @@ def seen_once_caveat(found: FoundEffect) -> Bilingual:
         "the noise stands for it: measure more runs that excite it",
         f"{name.zh}：在所发现的效应之外，仅一次训练试验显示该效应；模型不含它，噪声中包含其影响：请补测能激励它的试验",
     )
-
-
-def _steps_at(values: FloatArray, at: int) -> bool:
-    """Whether a channel changes within two blocks of a place by a third of its range in the run, between plateaus."""
-    before, after = values[max(at - _PLATEAU, 0) : max(at - 1, 0)], values[at + 2 : at + 1 + _PLATEAU]
-    if before.size < 2 or after.size < 2 or not np.isfinite([*before, *after]).all():
-        return False
-    step, range_ = abs(float(np.median(after) - np.median(before))), float(np.nanmax(values) - np.nanmin(values))
-    return step > range_ / 3 > 0 and step > 3 * max(float(np.ptp(before)), float(np.ptp(after)))
 
 
 def _event_caveats(names: Sequence[str], block_s: float) -> Iterator[Bilingual]:

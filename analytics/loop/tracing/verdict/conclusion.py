@@ -44,6 +44,7 @@ from analytics.loop.tracing.verdict.effect_findings import (
     with_hidden_delay,
 )
 from analytics.loop.tracing.verdict.held_out_caveats import holdout_caveats, refit_caveats
+from analytics.loop.tracing.verdict.jump_rivals import with_coincidences
 from analytics.loop.tracing.verdict.noise_over_channels import noise_trend
 from analytics.loop.tracing.verdict.run_level import cause_of_biases, untested_biases
 from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
@@ -134,7 +135,8 @@ def conclude(
     effects = tuple(
         msgspec.structs.replace(each, confirmed=None) if at in unsized else each for at, each in enumerate(effects)
     )
-    once = _seen_once(case, found)
+    effects = tuple(with_coincidences(each, case.stack.runs) for each in effects)
+    once = [with_coincidences(each, case.stack.runs) for each in _seen_once(case, found)]
     remarks += map(seen_once_caveat, once if found.selected else ())
     seen_once = (*refused, *once)
     walks = [
