@@ -28,8 +28,8 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     the prediction gains at least 0.9 of its gain at the right size: (slope - 1)^2 < 0.1*slope^2. Confirmed if accepted
     and 1.64*SE <= 1. Refused if the slope is three times as likely without the effect as with it, or differs from
     one by 3.29 standard errors; else no power. An effect that raises the error far is refused whatever its slope,
-    and one that raises it is not confirmed. An effect that shifts whole runs is confirmed only if it is 20 times as
-    likely as a bias that walks from run to run.
+    and one that raises it to 1.25 times is not confirmed. An effect that shifts whole runs is confirmed only if it
+    is 20 times as likely as a bias that walks from run to run.
     """
 
     effect: str  # name; ``all`` for the sum of all

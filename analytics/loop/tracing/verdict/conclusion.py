@@ -51,7 +51,6 @@ from analytics.loop.tracing.verdict.sensor_lag import with_sensor_lag
 from analytics.loop.tracing.verdict.shape_bounds import bounded_findings
 
 FAR_WORSE = 1.25  # ratio of RMS errors after and before from which an effect is refused whatever its slope
-RAISED = 1.05  # the same, from which it is not confirmed; where the error within runs falls significantly, FAR_WORSE is
 # standard errors by which the slope must exceed zero where the training runs show an effect in one of them: 1 in 2000
 BEYOND_CHANCE = 3.29
 FUNCTION = "function_of_"  # prefix of the names of free functions
@@ -158,15 +157,13 @@ def conclude(
     remarks += unsteady + weak_terms(case, declared_model)
     trend = noise_trend(case.stack)
     remarks += [] if trend is None else [trend.sentence]
-    unexplained = (
-        (unexplained_error(error) if case.held_out else None)
-        or (unsteady[0] if unsteady else None)
-        or (None if trend is None else trend.sentence)
-    )
+    unexplained = (unexplained_error(error) if case.held_out else None) or (unsteady[0] if unsteady else None)
     # turn-on scatter explains neither an error within runs nor an undetermined term
     is_scatter = bool(effects) and all(each.name == TURN_ON for each in effects)
     if (is_scatter or verdict is ModelVerdict.NOTHING_MISSING) and (undetermined or unexplained):
         verdict = ModelVerdict.NOT_ENOUGH_DATA if undetermined else ModelVerdict.UNEXPLAINED
+    if trend is not None and verdict in (ModelVerdict.NOTHING_MISSING, ModelVerdict.UNEXPLAINED):
+        verdict, unexplained = ModelVerdict.UNEXPLAINED, unexplained or trend.sentence
     verdict = denied(verdict, case.report.left_out)
     is_lacking = verdict is ModelVerdict.NOT_ENOUGH_DATA
     losses = tuple(each.sentence for each in case.report.left_out if each.is_grave)
@@ -268,8 +265,8 @@ def _answered(case: Case, found: Search) -> _Answered:
             return _Answered(holdout, whole, kept, box, error, tuple(worse))
         is_worse = row.after > FAR_WORSE * row.before and row.after_within > FAR_WORSE * row.before_within
         if holdout is None or not shares or not is_worse:
-            falls_within = row.gain_within is not None and row.gain_within.is_significant
-            if holdout is not None and row.after > (FAR_WORSE if falls_within else RAISED) * row.before:
+            # turn-on scatter may raise the error by less where a true effect is small
+            if holdout is not None and row.after > FAR_WORSE * row.before:
                 holdout = holdout.raising_error()
             return _Answered(holdout, whole, kept, box, error, tuple(worse))
         worst = min(shares, key=lambda name: shares[name])
