@@ -15,6 +15,7 @@ from analytics.evaluation.selection import Selection, selected
 from storage.manifests.log import read_log_manifest
 from storage.segments.disk import sha256_of
 from storage.sql.catalog import Catalog
+from storage.sql.reading import excluded_runs
 from stream.errors import NotFound, StoreError
 from stream.events import CertificateIssued
 
@@ -59,17 +60,22 @@ def changed_results(catalog: Catalog, document: CertificateIssued) -> list[str]:
         check_records(catalog, document.runs)
     except StoreError as error:
         return [str(error)]
+    excluded = [
+        f"it rests on run {run}, which is excluded from evaluation: {reason}"
+        for run, reason in excluded_runs(catalog, document.unit).items()
+        if run in document.runs
+    ]
     try:
         rows = selected(catalog, Selection(units=(document.unit,), standards=(document.standard,)))
     except NotFound:
-        return [f"the store has no record of {document.unit} any more"]
+        return excluded or [f"the store has no record of {document.unit} any more"]
     now: defaultdict[_Key, _Now] = defaultdict(dict)
     for row in rows:
         if row["value"] is not None:
             found = result_of(row)
             of_key = now[row["metric"], found.signal, found.runs]
             of_key.setdefault(found.conditions.en, []).append((found.value, found.expanded_text))
-    changed = []
+    changed = excluded
     for stated in json.loads(document.results):
         for result in stated["results"]:
             of_key = now[stated["metric"], result["signal"], tuple(result["runs"])]

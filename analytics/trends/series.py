@@ -152,7 +152,7 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     rows = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found]
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
-        raise NotFound(_nothing(metric, rows, choice))
+        raise NotFound(_nothing(metric, rows, choice, excluded))
     variant, others, kept = _one_kind(kept, [json.loads(each["parameters"] or "{}") for each in limits])
     valued = [row for row in kept if row["value"] is not None]
     if not valued:
@@ -196,7 +196,13 @@ def parameter_text(value: object) -> str:
         return str(value)
 
 
-def _nothing(metric: str, rows: list[dict[str, Any]], choice: Choice) -> str:
+def _nothing(
+    metric: str, rows: list[dict[str, Any]], choice: Choice, excluded: Sequence[Mapping[str, Any]]
+) -> str:  # fmt: skip
+    if not rows and excluded:
+        runs = sorted({f"{row['run']} ({row['reason']})" for row in excluded})
+        listed = ", ".join(runs[:4]) + (f" and {len(runs) - 4} more" if len(runs) > 4 else "")
+        return f"{metric}: no unit of this store has a value; excluded from evaluation are {listed}"
     if not rows:
         return f"{metric}: no unit of this store has been in such a test; `gyrofleet metrics` lists what there is"
     chosen = [(name, value) for name, value in choice._asdict().items() if value not in (None, (), {})]

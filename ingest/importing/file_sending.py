@@ -12,7 +12,14 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 
 from ingest.importing.repeated_files import ImportedFile, note_of_import
-from ingest.importing.shared_runs import Span, are_apart, other_tests, refuse_shared, warning_of_shared
+from ingest.importing.shared_runs import (
+    Span,
+    are_apart,
+    other_tests,
+    refuse_shared,
+    warning_of_excluded,
+    warning_of_shared,
+)
 from ingest.importing.station_details import Restated, check_details, restated
 from ingest.importing.stored import StoredSamples
 from ingest.importing.stored_steps import StoredSteps
@@ -167,8 +174,14 @@ class FileSending:
             if not self._restates:
                 check_details(self.path, run, self._stated.get(run, {}), self._about, others)
             warning = warning_of_shared(run, others, self._summary, zone)
-            if warning is not None and not {each.unit for each in stored} & set(self._units_of(run)):
+            both = {each.unit for each in stored} & set(self._units_of(run))
+            if warning is not None and (not both or both & others.spans.keys()):
                 self._warnings.append(warning)
+            excluded = {
+                unit: why for of, unit, why in self._stored.known.excluded if of == run and unit in self._units_of(run)
+            }
+            if excluded:
+                self._warnings.append(warning_of_excluded(run, excluded))
 
     def _check_moved(self) -> None:
         """Refuse a file whose samples a run has at other times: each would be there twice."""

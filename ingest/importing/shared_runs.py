@@ -11,6 +11,7 @@ from storage.recording.knowledge import KnownSignal
 from stream.errors import BadInput
 
 _APART_NS = 86_400 * 10**9  # between samples that no test joins
+_BETWEEN_NS = 6 * 3600 * 10**9  # between samples of a unit that are hardly of one test
 _LISTED = 3
 
 Span = tuple[int, int]
@@ -43,13 +44,21 @@ def other_tests(stored: Iterable[KnownSignal], own: Iterable[SignalSummary], *, 
     spans = _spans((each.unit, each.t_first_ns, each.t_last_ns) for each in stored)
     file_span = min(first for first, _ in mine.values()), max(last for _, last in mine.values())
     far = {unit for unit, span in spans.items() if is_dated and are_apart(span, file_span)}
-    others = {unit: span for unit, span in spans.items() if unit not in mine or unit in far}
+    again = {
+        unit for unit, span in mine.items() if is_dated and unit in spans and gap_ns(span, spans[unit]) > _BETWEEN_NS
+    }
+    others = {unit: span for unit, span in spans.items() if unit not in mine or unit in far | again}
     return OtherTests(others, bool(spans) and len(far) == len(spans), is_dated)
 
 
 def are_apart(one: Span, other: Span) -> bool:
     """Whether more than a day lies between two spans."""
-    return one[0] - other[1] > _APART_NS or other[0] - one[1] > _APART_NS
+    return gap_ns(one, other) > _APART_NS
+
+
+def gap_ns(one: Span, other: Span) -> int:
+    """Time between two spans, below 0 where they overlap."""
+    return max(one[0] - other[1], other[0] - one[1])
 
 
 def refuse_shared(path: Path, run: str, others: str) -> BadInput:
@@ -66,7 +75,18 @@ def warning_of_shared(run: str, others: OtherTests, summary: TableSummary, zone:
         return None
     return (
         f"warning: run {run}, named after the file, has {others.text(zone)} already: both are one run now, with one "
-        "station, whose corrections change the values of both; a test of its own has its own --run NAME"
+        "station, whose corrections change the values of both, and one of a repeatability; a test of its own has its "
+        "own --run NAME"
+    )
+
+
+def warning_of_excluded(run: str, excluded: Mapping[str, str]) -> str:
+    """A warning that units of a file are excluded from evaluation in its run, and why."""
+    listed = [f"unit {unit} ({why})" for unit, why in excluded.items()]
+    named = ", ".join(listed[:_LISTED]) + (f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else "")
+    return (
+        f"warning: run {run} is excluded from evaluation for {named}: what the file adds does not count either; "
+        f"`gyrofleet runs include {run}` takes it in again"
     )
 
 

@@ -35,8 +35,8 @@ _by_option = click.option("--by", help="Who; by default the user of the system, 
 def runs() -> None:
     """Runs of a store: list them, exclude a bad one from evaluation with a reason, include it again.
 
-    What is excluded stays in the log and can be seen; metrics, verdicts, trends, diagnoses and certificates leave it
-    out, and name it. The last word counts, for each unit of a run.
+    What is excluded stays in the log and can be seen; metrics, verdicts, trends, diagnoses and new certificates leave
+    it out, and all but certificates name it. The last word counts, for each unit of a run.
 
     A check that was entered by hand (`gyrofleet check`) is excluded alone by its --check, the uid that `audit --json`
     and `events` name.
@@ -104,18 +104,17 @@ def _enter(
     *, as_json: bool,
 ) -> None:  # fmt: skip
     from storage.recording.exclusions import enter_exclusion
-    from storage.store import Store, writer_endpoint
+    from storage.store import Store
     from stream.events import ExclusionAction
 
     store, actor = Store.open(folder), acting(by)
-    is_in_lake = writer_endpoint(store.folder) is None
     done = enter_exclusion(
         store, ExclusionAction(wanted), reason, actor, role="gyrofleet runs", run=run, units=units, check=check
     )
     if as_json:
         print_json({"store": str(folder), "run": run, "check": check, "action": wanted, "units": done.changed,
                     "already": done.others, "by": actor.name, "reason": reason.strip(),
-                    "uids": [each.uid for each in done.documents], "in_lake": is_in_lake})  # fmt: skip
+                    "uids": [each.uid for each in done.documents], "in_lake": done.is_in_lake})  # fmt: skip
         return
     if done.others:
         results().print(f"{wanted} already: {', '.join(done.others)}", soft_wrap=True)
@@ -123,9 +122,12 @@ def _enter(
     what = f"check {check}, unit {', '.join(done.changed)}" if run is None else f"run {run}, {_listed(done.changed)}"
     text = f"excluded {what}: {left_out}" if wanted == "excluded" else f"included {what} again"
     results().print(text if done.changed else "nothing to change", soft_wrap=True)
-    if done.documents and not is_in_lake:
-        sees = "SQL sees it with the recorder's next segment."
-        notes().print(f"The recorder that writes the store has it on disk; {sees}")
+    if not done.is_in_lake:
+        notes().print(
+            "warning: the recorder that writes the store has it on disk, but not yet in the lake: until then metrics, "
+            "verdicts and certificates still count as before; `gyrofleet runs list` shows it already",
+            soft_wrap=True,
+        )
 
 
 def _listed(units: list[str]) -> str:

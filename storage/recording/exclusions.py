@@ -12,6 +12,7 @@ from stream.identity import Place
 from stream.security.actor import Actor
 
 _MOST_TEXT = 1000
+_PATIENCE_S = 15.0
 _UNITS = """
 with tested as (
   select run, unit from steps union select run, unit from units
@@ -28,11 +29,15 @@ from events c where c.kind = 'CheckEntered' and c.uid = $uid
 
 
 class Exclusion(NamedTuple):
-    """Units that an act changed, those that were as it wants them, and its documents."""
+    """Units that an act changed, those that were as it wants them, its documents, and whether evaluations follow it.
+
+    They do once its documents are in the lake, for which it is waited some seconds.
+    """
 
     changed: list[str]
     others: list[str]
     documents: tuple[ExclusionEntered, ...]
+    is_in_lake: bool
 
 
 class _Targets(NamedTuple):
@@ -48,6 +53,8 @@ def enter_exclusion(
     units: tuple[str, ...] = (), check: str | None = None,
 ) -> Exclusion:  # fmt: skip
     """Exclude a run, some `units` of it, or a `check` by its uid, or include it again; on disk when this returns.
+
+    Evaluations follow it then, if a recorder at work brings it to the lake in some seconds (`Exclusion.is_in_lake`).
 
     BadInput if it names neither or both, or the reason is empty; NotFound where there is no such run, unit or check.
     `role` is who writes, for the message that another writer gets.
@@ -68,7 +75,21 @@ def enter_exclusion(
     )  # fmt: skip
     if documents:
         record_documents(store, documents, role=role, place=Place("local", "entered"), builds_lake=True)
-    return Exclusion(found.changed, found.others, documents)
+    return Exclusion(found.changed, found.others, documents, _is_in_lake(store, documents))
+
+
+def _is_in_lake(store: Store, documents: tuple[ExclusionEntered, ...]) -> bool:
+    """Whether the lake has the documents: a recorder at work seals them at once, and builds the lake then."""
+    if not documents:
+        return True
+    until = time.monotonic() + _PATIENCE_S
+    while True:
+        with Catalog(store) as catalog:
+            if catalog.rows("from internal.lake_documents where uid = $uid limit 1", {"uid": documents[-1].uid}):
+                return True
+        if time.monotonic() >= until:
+            return False
+        time.sleep(0.25)
 
 
 def _check_targets(store: Store, check: str | None, action: ExclusionAction) -> _Targets:
@@ -100,5 +121,5 @@ def _run_targets(store: Store, run: str, units: tuple[str, ...], action: Exclusi
     changed = [unit for unit in chosen if tested[unit] is not (action is ExclusionAction.EXCLUDED)]
     others = [unit for unit in chosen if unit not in changed]
     # a run as a whole, also with units that are tested in it later, where none was chosen
-    one_by_one: list[str | None] = [*changed] if units or others else [None]
-    return _Targets(changed, others, [(run, unit, "") for unit in one_by_one])
+    named: list[str | None] = [*changed] if units else [None] if changed else []
+    return _Targets(changed, others, [(run, unit, "") for unit in named])

@@ -15,7 +15,7 @@ from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogReco
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import AnyDocument, ApprovedAct, ModelActivated, RunEnded, RunStarted, StoreNoted
+from stream.events import AnyDocument, ApprovedAct, ExclusionEntered, ModelActivated, RunEnded, RunStarted, StoreNoted
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import SourceVerifier, split
@@ -145,7 +145,7 @@ class Intake:
         self.received: dict[StreamId, int] = {}
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
-        self.ended_runs = self.late = 0
+        self.ended_runs = self.late = self.exclusions = 0
         self._ended: dict[str, None] = {}
         self._authorised: dict[str, Principal] = {}  # who may send samples under a key
         self._runs: dict[str, str] = {}  # of a key's last samples
@@ -272,6 +272,8 @@ class Intake:
             return
         if self._owners is not None and place.is_start:
             self._owners.add(document.run, parsed.place.station)
+        if isinstance(document, ExclusionEntered):
+            self.exclusions += 1
         if place.is_end:
             self.ended_runs += 1
             self._ended[document.run] = None

@@ -50,7 +50,7 @@ class KnownRuns(NamedTuple):
 
     `dated` says of each stored run whether its date is known; `open` are runs without an end, `uids` documents of the
     starts of runs and steps, `mounted` documents of mounted units, as JSON, and `stated` statements about the station
-    of each run, at its start and later.
+    of each run, at its start and later; `excluded` is run, unit, and why it is excluded from evaluation.
     """
 
     dated: dict[str, bool]
@@ -59,6 +59,7 @@ class KnownRuns(NamedTuple):
     mounted: list[str]
     stated: dict[str, dict[str, str]]
     steps: list[KnownStep]
+    excluded: tuple[tuple[str, str, str], ...] = ()
 
 
 class Knowledge(Protocol):
@@ -100,6 +101,7 @@ class CatalogKnowledge:
             "select unit, run, uid, words::varchar, t_start_ns, coalesce(t_end_ns, t_start_ns) "
             "from internal.lake_steps where"
         )
+        excluded = of_runs("select run, unit, reason from exclusions where", "order by run, unit")
         details: dict[str, dict[str, str]] = {}
         for run, kind, site, station, text in stated:
             began = zip(("site", "station"), (site, station), UNSTATED, strict=True)
@@ -110,6 +112,7 @@ class CatalogKnowledge:
             open=[str(run) for run, _, is_open in found if is_open], uids=[str(uid) for (uid,) in known],
             mounted=[str(document) for (document,) in mounted], stated=details,
             steps=[KnownStep(*row) for row in steps],
+            excluded=tuple((str(run), str(unit), str(reason)) for run, unit, reason in excluded),
         )  # fmt: skip
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:

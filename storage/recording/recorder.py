@@ -229,6 +229,9 @@ class Recorder(Closing):
         if self._intake.ended_runs:
             self._intake.ended_runs = 0
             self._seal_at = now + _SEAL_GRACE_S
+        if self._intake.exclusions:  # evaluations read the lake, and are to follow it
+            self._intake.exclusions = 0
+            self._seal_at = now
         if self._intake.late:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
             self._intake.late = 0

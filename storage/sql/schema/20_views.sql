@@ -115,8 +115,11 @@ with entered as (
     document->>'$.by' as by_whom, t_ns, arrival_ns, uid
   from internal.lake_documents where kind = 'ExclusionEntered' and coalesce(document->>'$.check', '') = ''
 ), tested as (
-  select distinct run, unit from internal.lake_documents
+  select run, unit from internal.lake_documents
   where kind in ('StepStarted', 'UnitMounted') and run in (select run from entered)
+  union
+  select run, unnest(from_json(document->'$.units', '["varchar"]')) from internal.lake_documents
+  where kind = 'RunStarted' and run in (select run from entered)
 )
 select t.run, t.unit, e.reason, e.by_whom, make_timestamp_ns(e.t_ns) as excluded, e.uid
 from entered e join tested t on t.run = e.run and (e.unit is null or e.unit = t.unit)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.free_ports import free_endpoint
+
 LIMITS = """
 name = "S"
 revision = "A"
@@ -122,3 +124,48 @@ def test_a_diagnosis_names_what_it_leaves_out(run_command: Run, tmp_path: Path) 
     assert "they are excluded from evaluation: kicked (kicked)" in text
     assert "r4" in text
     assert '"kicked"' not in text
+
+
+@pytest.mark.long
+def test_a_whole_run_is_excluded_for_units_that_come_later_whatever_was_before(
+    run_command: Run, tmp_path: Path
+) -> None:
+    _store(run_command, tmp_path, {("U", "r"): 5.0, ("V", "r"): 5.0})
+    rows = "\n".join(f"{at},{50 + at % 7 / 10}" for at in range(3700))
+    (tmp_path / "late.csv").write_text(f"time[s],rate[deg/h]\n{rows}\n")
+    why = ("--reason", "kicked", "--store", "s")
+    for words in (("exclude", "r", "--unit", "U"), ("exclude", "r")):
+        assert run_command("runs", *words, *why, cwd=tmp_path).code == 0
+    given = ("--unit", "W", "--run", "r", "--start", "2026-03-05T12:00:00Z")
+    assert run_command("import", "late.csv", *given, *STEP, cwd=tmp_path).code == 0
+    assert _verdicts(run_command, tmp_path) == {}
+    nothing = run_command("trend", "bias", "--store", "s", cwd=tmp_path)
+    assert (nothing.code, "excluded from evaluation are r (kicked)" in nothing.err) == (1, True)
+    for words in (("include", "r", "--unit", "U"), ("include", "r")):
+        assert run_command("runs", *words, *why, cwd=tmp_path).code == 0
+    assert set(_verdicts(run_command, tmp_path)) == {"U", "V", "W"}
+
+
+def test_a_record_without_a_step_is_excluded_as_well(run_command: Run, tmp_path: Path) -> None:
+    rows = "\n".join(f"{at},{at % 7 / 10}" for at in range(300))
+    (tmp_path / "a.csv").write_text(f"time[s],rate[deg/h]\n{rows}\n")
+    given = ("--unit", "U", "--run", "r", "--start", "2026-03-05T12:00:00Z", "--store", "s")
+    assert run_command("import", "a.csv", *given, cwd=tmp_path).code == 0
+    why = ("--reason", "kicked", "--store", "s", "--json")
+    assert run_command("runs", "exclude", "r", *why, cwd=tmp_path).json["units"] == ["U"]
+    assert run_command("runs", "exclude", "r", *why, cwd=tmp_path).json["already"] == ["U"]
+    done = run_command("allan", "--unit", "U", "--signal", "rate", "--store", "s", cwd=tmp_path)
+    assert (done.code, "every run of unit U, signal rate is excluded" in done.err) == (1, True)
+
+
+def test_evaluations_follow_an_exclusion_beside_a_recorder_at_once(
+    run_command: Run, spawn: Run, tmp_path: Path
+) -> None:
+    """The recorder seals its segment, which would stay open for five minutes."""
+    _store(run_command, tmp_path, {("U", "good"): 5.0, ("U", "kicked"): 40.0})
+    recorder = spawn("record", "--listen", free_endpoint(), "--store", str(tmp_path / "s"), "--json")
+    assert json.loads(recorder.stdout.readline())["event"] == "recording"
+    words = ("runs", "exclude", "kicked", "--reason", "x", "--store", "s", "--json")
+    done = run_command(*words, cwd=tmp_path)
+    assert done.json["in_lake"], done.err
+    assert _verdicts(run_command, tmp_path) == {"U": ("PASS", "PASS")}

@@ -63,3 +63,30 @@ def test_another_unit_of_the_same_day_is_warned_of_once(ask: Callable[..., Any])
         (file,) = ask(*words("sh", "Y2", 2, 39.9))["files"]
         text = "run still, named after the file, has unit Y1 of 2026-11-02"
         assert len([each for each in file["remarks"] if text in each]) == found
+
+
+@pytest.mark.long
+def test_a_daily_file_of_one_name_is_warned_of(run_command: Callable[..., Any], tmp_path: Path) -> None:
+    """One run of three days has one power-on in a repeatability."""
+    rng = np.random.default_rng(4)
+    for day in (21, 22, 23):
+        rows = "\n".join(f"{at},{5 + rng.normal():.5f}" for at in range(300))
+        (tmp_path / "data.csv").write_text(f"time[s],rate[deg/h]\n{rows}\n")
+        given = ("--unit", "W", "--start", f"2026-11-{day}T08:00:00Z", "--procedure", "static_bias", "--store", "s")
+        done = run_command("import", "data.csv", *given, cwd=tmp_path)
+        assert done.code == 0, done.err
+        assert ("run data, named after the file, has unit W of 2026-11-21" in done.err) is (day > 21), done.err
+    # one that goes on within the day is the same test
+    later = _later(rng, tmp_path, 9)
+    assert "named after the file" not in run_command("import", *later, cwd=tmp_path).err
+    assert run_command("runs", "exclude", "data", "--reason", "kicked", "--store", "s", cwd=tmp_path).code == 0
+    done = run_command("import", *_later(rng, tmp_path, 10), "--run", "data", cwd=tmp_path)
+    assert "run data is excluded from evaluation for unit W (kicked)" in done.err
+
+
+def _later(rng: np.random.Generator, folder: Path, hour: int) -> tuple[str, ...]:
+    """Another file of the same name, at an hour of the last day."""
+    rows = "\n".join(f"{at},{5 + rng.normal():.5f}" for at in range(300))
+    (folder / "data.csv").write_text(f"time[s],rate[deg/h]\n{rows}\n")
+    start = f"2026-11-23T{hour:02d}:00:00Z"
+    return "data.csv", "--unit", "W", "--start", start, "--procedure", "static_bias", "--store", "s"

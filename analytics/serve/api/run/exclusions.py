@@ -7,7 +7,6 @@ import msgspec
 from analytics.serve.api.operation import Call, post
 from analytics.serve.doors.roles import Role
 from storage.recording.exclusions import enter_exclusion
-from storage.store import writer_endpoint
 from stream.events import ExclusionAction
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
@@ -24,7 +23,7 @@ class ExclusionAsked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Excluded(msgspec.Struct, frozen=True, kw_only=True):
-    """Units that were changed, and those that were so already; `is_visible` says whether SQL sees it already."""
+    """Units that were changed, and those that were so already; `is_visible` says whether evaluations follow it yet."""
 
     units: list[str]
     already: list[str]
@@ -35,10 +34,9 @@ class Excluded(msgspec.Struct, frozen=True, kw_only=True):
 @post("/api/exclusions", role=Role.APPROVER)
 def enter(call: Call, asked: ExclusionAsked) -> Excluded:
     """Exclude a run from every evaluation, or include it again; the log has who did it, when and why."""
-    is_visible = writer_endpoint(call.store.folder) is None
     done = enter_exclusion(
         call.store, asked.action, asked.reason, call.person.actor, role="gyrofleet serve", run=asked.run,
         units=asked.units, check=asked.check,
     )  # fmt: skip
     documents = [msgspec.to_builtins(each) for each in done.documents]
-    return Excluded(units=done.changed, already=done.others, documents=documents, is_visible=is_visible)
+    return Excluded(units=done.changed, already=done.others, documents=documents, is_visible=done.is_in_lake)
