@@ -185,6 +185,7 @@ class AskedAhead:
             mounted=[text for each in found for text in each.mounted],
             stated={run: details for each in found for run, details in each.stated.items()},
             steps=[step for each in found for step in each.steps],
+            excluded=tuple(each for of_run in found for each in of_run.excluded),
         )
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
@@ -215,6 +216,7 @@ class AskedAhead:
                 dated={run: found.dated[run]} if run in found.dated else {}, open=[run] if run in is_open else [],
                 uids=found.uids, mounted=mounted[run],
                 stated={run: found.stated[run]} if run in found.stated else {}, steps=steps[run],
+                excluded=tuple(each for each in found.excluded if each[0] == run),
             )  # fmt: skip
 
 
