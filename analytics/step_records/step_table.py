@@ -18,7 +18,7 @@ from stream.files.atomic_file import replacement
 
 FILE = "steps.parquet"
 # Increased when the reduction gives other records than before.
-_VERSION = "19"
+_VERSION = "20"
 _PRINT = "fingerprint"
 _SQL = files("analytics.step_records").joinpath("step_means.sql").read_text()
 _INPUTS = files("analytics.step_records").joinpath("run_inputs.sql").read_text()

@@ -35,6 +35,19 @@ def test_each_value_several_times_is_found(held: int) -> None:
     assert repeated_share(values) == pytest.approx(1 - 1 / held, abs=0.02)
 
 
+@pytest.mark.parametrize(("hertz", "step", "least"), [
+    (10, 0.0, 0.89), (8, 0.0, 0.91), (5, 0.0, 0.94), (10, 0.05, 0.89), (8, 0.05, 0.88), (5, 0.05, 0.9),
+    (10, 0.2, 0.86), (8, 0.2, 0.8), (5, 0.2, 0.8), (70, 0.2, 0.29),
+])  # fmt: skip
+def test_the_share_of_a_slow_gyro_in_a_log_of_100_hz_is_a_close_bound(hertz: int, step: float, least: float) -> None:
+    """The share is no more than the true one, with four standard deviations of what the step repeats by itself."""
+    at = np.floor(np.arange(12_000) * (hertz / 100 * 1.0002) + 0.3).astype(np.int64)
+    noise = np.random.default_rng(hertz).standard_normal(int(at[-1]) + 1)
+    by_step = step / (2 * np.pi**0.5)
+    share = repeated_share((np.round(noise / step) * step if step else noise)[at])
+    assert least <= share <= 1 - hertz / 100 + 4 * (hertz / 100 * by_step / at.size) ** 0.5 + 1e-3
+
+
 @pytest.mark.parametrize("step", [0.01, 0.1, 0.3, 1.0])
 def test_noise_of_any_resolution_repeats_by_itself(step: float) -> None:
     found = []

@@ -10,7 +10,7 @@ create or replace macro remark_on_samples(n, still, sd, outliers, outlier_excess
         || 'was frozen, or its resolution is too coarse to show noise'
       when piled > 0 then if(n > 1000000, 'about ', '') || round(n * piled)::bigint || ' of ' || n || ' samples are at one value or two, as at '
         || printf('%.5g', piled_at) || ' ' || measure || ': clipped at an end of the range, or lost samples written as it' end,
-    case when repeated > 0 then format('{:.2g} % of the samples repeat the one before, which resolution and noise do not explain: '
+    case when repeated > 0 then format('at least {:.2g} % of the samples repeat the one before, which resolution and noise do not explain: '
       || 'as of a logger that is faster than the gyro, or of lost samples written as the last one', 100 * repeated) end,
     case when outliers_move_mean(outliers, outlier_excess) then format('isolated outliers ({}) raise the noise {:.3g} times '
         || 'and may move the mean by more than the noise does: it has no interval', outliers, 1 + outlier_excess)
