@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from analytics.evaluation.kept_metrics import kept_metrics
 from analytics.metric_registry.magnitudes import as_judged
@@ -14,12 +14,24 @@ from storage.store import Store
 from stream.errors import UnknownUnit
 from stream.quantities import result_factor
 
-_FAR = 300  # deg/s for deg/h is 3600, mdps for dps 1000, and a good value 100 times inside of its limit
+_FAR = 300  # a good value may be 100 times inside of its limit
+# milli, per hour for per second, arc seconds per radian, parts per million; and how far from these factors a limit may
+# be that good values are within
+_MISTAKES, _NEAR = (1e3, 3600.0, 206_265.0, 1e6), 3.0
+_LEAST_VALUES, _LEAST_UNITS = 5, 3  # that a limit lies far beyond, so that they are no single very good unit
 _VALUES = """
-select distinct m.value, m.unit_of_measure, m.parameters, m.signal, m.standard, u.product
+select distinct m.value, m.unit, m.unit_of_measure, m.parameters, m.signal, m.standard, u.product
 from internal.stored_values m left join units u on u.unit = m.unit and list_contains(m.runs, u.run)
 where m.metric = $metric and isfinite(m.value)
 """
+
+
+class Kept(NamedTuple):
+    """A stored value: its magnitude in the unit of a limit, itself with its own unit, and whose it is."""
+
+    size: float
+    text: str
+    serial: str
 
 
 def far_limits(store: Store, limits: Sequence[SpecificationLimit]) -> list[str]:
@@ -29,28 +41,39 @@ def far_limits(store: Store, limits: Sequence[SpecificationLimit]) -> list[str]:
         if kept is None:
             return []
         catalog.put_content("stored_values", kept)
-        return [each for limit in map(as_judged, limits) for each in _far(limit, _values(catalog, limit))]
+        return [each for limit in map(as_judged, limits) for each in doubts(limit, _values(catalog, limit))]
 
 
-def _far(limit: SpecificationLimit, values: Sequence[float]) -> Iterator[str]:
-    bound = max(abs(each) for each in (limit.lower, limit.upper) if each is not None)
-    least, most, n, unit = min(values, default=0.0), max(values, default=0.0), len(values), limit.unit_of_measure
-    if most and bound > _FAR * most:
-        how = f"{bound:g} {unit} is {bound / most:,.0f} times the largest of {n} stored values ({most:.4g})"
-    elif bound and least > _FAR * bound:
-        how = f"the smallest of {n} stored values ({least:.4g}) is {least / bound:,.0f} times {bound:g} {unit}"
-    else:
-        return
-    yield f"warning: {limit.subject}: {how}: check its unit of measure"
+def doubts(limit: SpecificationLimit, values: Sequence[Kept]) -> Iterator[str]:
+    """A sentence where all values are far inside or far beyond of a limit."""
+    bound = max((each for each in (limit.upper, limit.lower) if each is not None), key=abs)
+    unit, size = limit.unit_of_measure, abs(bound)
+    least, most = min(values, default=None), max(values, default=None)
+    if most and most.size and size > _FAR * most.size and _is_mistake(size / most.size) and _are_enough(values):
+        how = f"{size / most.size:,.0f} times the largest of {len(values)} stored values ({most.text})"
+        yield f"warning: {limit.subject}: {bound:g} {unit} is {how}: check its unit of measure"
+    elif least and size and least.size > _FAR * size:
+        how = f"the smallest of {len(values)} stored values ({least.text}) is {least.size / size:,.0f} times"
+        yield f"warning: {limit.subject}: {how} {bound:g} {unit}: check its unit of measure"
 
 
-def _values(catalog: Catalog, limit: SpecificationLimit) -> list[float]:
+def _is_mistake(factor: float) -> bool:
+    """Whether a limit so far from values that are good may be one in another unit."""
+    return any(each / _NEAR <= factor <= each * _NEAR for each in _MISTAKES)
+
+
+def _are_enough(values: Sequence[Kept]) -> bool:
+    """Whether so many values are not those of a unit that is better than asked for."""
+    return len(values) >= _LEAST_VALUES and len({each.serial for each in values}) >= _LEAST_UNITS
+
+
+def _values(catalog: Catalog, limit: SpecificationLimit) -> list[Kept]:
     """Magnitudes of the values that a limit judges, in its unit."""
     names, rows = catalog.named_rows(_VALUES, {"metric": limit.metric})
-    return [abs(each) for row in rows for each in _in_unit(limit, dict(zip(names, row, strict=True)))]
+    return [each for row in rows for each in _in_unit(limit, dict(zip(names, row, strict=True)))]
 
 
-def _in_unit(limit: SpecificationLimit, row: dict[str, Any]) -> Iterator[float]:
+def _in_unit(limit: SpecificationLimit, row: dict[str, Any]) -> Iterator[Kept]:
     """The value of a row in the unit of a limit that judges it."""
     stated = json.loads(row["parameters"] or "{}")
     if any(
@@ -62,4 +85,5 @@ def _in_unit(limit: SpecificationLimit, row: dict[str, Any]) -> Iterator[float]:
         return
     if limit.standard is None or limit.standard in (row["standard"] or "").split(", "):
         with suppress(UnknownUnit):
-            yield row["value"] * result_factor(row["unit_of_measure"], limit.unit_of_measure)
+            size = abs(row["value"]) * result_factor(row["unit_of_measure"], limit.unit_of_measure)
+            yield Kept(size, f"{row['value']:.4g} {row['unit_of_measure']}", row["unit"])

@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from analytics.evaluation.far_limits import Kept, doubts
 from gyrofleet import main
+from storage.specifications.specification import SpecificationLimit
 from tests.analytics.verdicts.few_metrics import computing
 from tests.e2e.judging.test_groups_of_units import record
 
@@ -35,13 +37,14 @@ def enter(ask: Ask, tmp_path: Path) -> Callable[..., Any]:
         words = ("limits", "add", str(tmp_path / "p1.toml"), *words, "--store", str(tmp_path / "S"), "--json")
         return json.loads(CliRunner().invoke(main, list(words)).stdout)
 
-    ask("import", record(tmp_path / "one.csv", "G1", 5.0, 1))
+    for seed in range(6):
+        ask("import", record(tmp_path / f"{seed}.csv", f"G{seed % 3}", 5.0 + seed / 100, seed, seed + 1))
     return enter
 
 
 @pytest.mark.parametrize(
     ("upper", "unit", "said"),
-    [(10.0, "deg/s", "10 deg/s is 7,2"), pytest.param(0.002, "deg/h", "times 0.002 deg/h", marks=pytest.mark.long)],
+    [(10.0, "deg/s", "10 deg/s is 7,"), pytest.param(0.002, "deg/h", "times 0.002 deg/h", marks=pytest.mark.long)],
 )
 def test_a_limit_far_from_all_stored_values_is_doubted_and_replaced(
     ask: Ask, enter: Callable[..., Any], upper: float, unit: str, said: str
@@ -49,6 +52,7 @@ def test_a_limit_far_from_all_stored_values_is_doubted_and_replaced(
     ask("metrics", "--metric", "bias")
     (doubt,) = enter("A", upper, unit)["doubts"]
     assert said in doubt
+    assert " of 6 stored values (5.0" in doubt
     assert doubt.endswith(": check its unit of measure")
     refused = enter("B", 10.0, "deg/h")["error"]["message"]
     assert "withdraw it (`gyrofleet limits withdraw P1-A --reason ..." in refused
@@ -56,4 +60,26 @@ def test_a_limit_far_from_all_stored_values_is_doubted_and_replaced(
     ask("limits", "withdraw", "P1-A", "--reason", "unit of measure")
     assert enter("B", 10.0, "deg/h", "--rejudge")["doubts"] == []
     with computing("bias"):
-        assert [(row["revision"], row["verdict"]) for row in ask("verdicts")["verdicts"]] == [("B", "PASS")]
+        assert {(row["revision"], row["verdict"]) for row in ask("verdicts")["verdicts"]} == {("B", "PASS")}
+
+
+def test_limits_far_beyond_the_values_of_a_few_units_are_no_doubt(ask: Ask, tmp_path: Path) -> None:
+    """Two very good units within +-5 deg/h."""
+    for seed, bias in enumerate((0.004, 0.008)):
+        ask("import", record(tmp_path / f"{seed}.csv", f"G{seed}", bias, seed))
+    ask("metrics", "--metric", "bias")
+    (tmp_path / "p1.toml").write_text(LIMIT.format("A", 5.0, "deg/h").replace("lower = 0", "lower = -5"))
+    assert ask("limits", "add", str(tmp_path / "p1.toml"))["doubts"] == []
+
+
+@pytest.mark.parametrize(
+    ("count", "units", "bound", "doubted"),
+    [(5, 3, -2000.0, True), (5, 2, -2000.0, False), (4, 3, -2000.0, False), (5, 3, -40_000.0, False)],
+)
+def test_values_far_inside_of_a_limit(count: int, units: int, bound: float, *, doubted: bool) -> None:
+    values = [Kept(1.0, "1 deg/h", f"G{at % units}") for at in range(count)]
+    found = list(doubts(SpecificationLimit(metric="bias", lower=bound, unit_of_measure="deg/h"), values))
+    said = (
+        "warning: bias: -2000 deg/h is 2,000 times the largest of 5 stored values (1 deg/h): check its unit of measure"
+    )
+    assert found == [said] * doubted
