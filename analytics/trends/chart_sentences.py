@@ -122,6 +122,7 @@ def _named(sentence: str, points: list[tuple[Chart, int]]) -> Iterator[Words]:
         assert isinstance(chart.limits, IndividualsChart)
         where = dict.fromkeys([chart.name, series.unit[at], series.run[at], moment(series, at)])
         value = f"{figures(float(chart.charted[at]), chart.limits.sigma)}{behind(series.unit_of_measure)}"
-        named.append(f"({', '.join(filter(None, where))}: {value}, {chart.z[at]:+.1f} sigma)")
+        named.append(words("point", where=", ".join(filter(None, where)), value=value, z=float(chart.z[at])))
     if named:
-        yield words(sentence, points=listed(named, _MOST_NAMED))
+        en, zh = (listed(list(each), _MOST_NAMED, apart=Words("; ", "；")) for each in zip(*named, strict=True))
+        yield words(sentence, points=Words(en.en, zh.zh))

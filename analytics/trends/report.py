@@ -11,7 +11,18 @@ from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.trend import FALSE_ALARM, Chart, Trend
-from analytics.trends.words import NOTHING, NotComputed, Words, behind, group_name, interval, joined, listed, words
+from analytics.trends.words import (
+    NOTHING,
+    NotComputed,
+    Words,
+    behind,
+    group_name,
+    interval,
+    joined,
+    kind_of,
+    listed,
+    words,
+)
 
 _MOST_NAMED = 8
 _POSSIBLE = 0.05  # chance up to which a drift that is not significant is reported as a possible one
@@ -61,7 +72,7 @@ def _head(trend: Trend) -> Words:
             each = words("charts_of_units_adjusted" if trend.by == "unit" else "charts_adjusted")
         charted = words("charts", charts=charts, s="s" * (charts > 1), by=group_name(trend.by), each=each)
     return words(
-        "head", name=series.metric if header is None else Words(header.en, header.zh), variant=series.variant,
+        "head", name=series.metric if header is None else Words(header.en, header.zh), variant=kind_of(*series.variant),
         n=series.value.size, units=units, s="s" * (units > 1), first=moment(series, 0),
         last=moment(series, series.value.size - 1), charted=charted,
     )  # fmt: skip

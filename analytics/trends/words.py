@@ -24,6 +24,7 @@ class NotComputed(NamedTuple):
 
 
 NOTHING = Words("", "")
+_COMMAS = Words(", ", "、")
 _GROUPS_ZH = {"station": "试验台", "fixture": "夹具", "lot": "批次", "unit": "产品", "product": "产品型号"}
 
 
@@ -43,6 +44,13 @@ def words(key: str, /, **parts: object) -> Words:
         for at, text in enumerate(_templates()[key])
     ]
     return Words(*texts)
+
+
+def kind_of(standard: str, settings: Iterable[tuple[str, str]]) -> Words:
+    """The standard and the settings of values, these by the names that ``--parameter`` takes."""
+    texts = [f"{name}={value}" for name, value in settings]
+    named = [words(each) if each in _templates() else Words(each, each) for each in texts]
+    return joined([words("standard", standard=standard), *named], ", ", "，")
 
 
 def not_computed(key: str, /, **parts: object) -> NotComputed:
@@ -94,14 +102,14 @@ def behind(unit: str) -> str:
     return "" if unit in {"", "1"} else f" {unit}"
 
 
-def listed(names: list[str], most: int = 5) -> Words:
+def listed(names: list[str], most: int = 5, apart: Words = _COMMAS) -> Words:
     """Names in a row; those beyond `most` are counted.
 
     >>> listed(["A", "B", "C"], 2)
     Words(en='A, B and 1 more', zh='A、B 等 3 个')
     """
     shown = names[:most]
-    in_chinese = "、".join(UNGIVEN_ZH if name == UNGIVEN else name for name in shown)
+    in_chinese = apart.zh.join(UNGIVEN_ZH if name == UNGIVEN else name for name in shown)
     if len(names) <= most:
-        return Words(", ".join(names), in_chinese)
-    return Words(f"{', '.join(shown)} and {len(names) - most} more", f"{in_chinese} 等 {len(names)} 个")
+        return Words(apart.en.join(names), in_chinese)
+    return Words(f"{apart.en.join(shown)} and {len(names) - most} more", f"{in_chinese} 等 {len(names)} 个")

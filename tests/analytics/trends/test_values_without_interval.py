@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from analytics.trends.charts.capability import Capability, capability
 from analytics.trends.document import document
+from analytics.trends.report import sentences
 from analytics.trends.series import read_series
 from analytics.trends.trend import trend_of
 from gyrofleet import main
@@ -69,10 +70,10 @@ def test_all_points_beyond_3_sigma_are_named_beside_a_wild_one(reported: Reporte
     values[30], values[7] = 300.0, 20.0
     said = english(trend_of(read_series(reported(one_each(values)), "bias")))
     assert "A wild point (U030" in said
-    assert "Beyond 3 sigma as well: (U007, " in said
+    assert "Beyond 3 sigma as well: U007, " in said
     values[4:92:8] = 10.0  # eleven, far apart: no change of level
     said = english(trend_of(read_series(reported(one_each(values)), "bias")))
-    assert said.count("10.00 deg/h, +") == 7
+    assert said.count("10.00 deg/h (+") == 7
     assert " and 4 more." in said
 
 
@@ -85,5 +86,8 @@ def test_a_point_beyond_3_sigma_is_named_where_nothing_is_significant(reported: 
     (point,) = document(trend)["charts"][0]["beyond_3_sigma"]
     assert (point["unit"], point["value"]) == ("U030", -2.0)
     assert point["sigmas"] < -3
-    where = f"U030, {point['run']}, {point['time']}: -2.00 deg/h, {point['sigmas']:+.1f} sigma"
-    assert f"Beyond 3 sigma, not significantly more than noise gives: ({where})." in said
+    where, z = f"U030, {point['run']}, {point['time']}", f"{point['sigmas']:+.1f}"
+    assert f"Beyond 3 sigma, not significantly more than noise gives: {where}: -2.00 deg/h ({z} sigma)." in said
+    chinese = "\n".join(each.zh for each in sentences(trend))
+    assert f"3σ 以外（未显著超过随机预期）：{where}：-2.00 deg/h（{z}σ）。" in chinese
+    assert ("standard=" in said, "standard=" in chinese, "标准 " in chinese) == (True, False, True)
