@@ -39,6 +39,7 @@ _ENCODINGS = ("utf-8-sig", "gb18030")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _COLUMN = re.compile(r"[^\x00-\x1f\"']{1,64}")
 _LISTED = 20
+_Problem = tuple[int, str]  # line and what is wrong with it
 _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/unit-mounted")
 
 
@@ -99,7 +100,7 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
     rows, empty = _rows(_decoded(content, source), source)
     if not rows:
         raise BadInput(f"units {source}: it is empty; one serial a line is expected, or a table with a column serial")
-    problems: list[str] = []
+    problems: list[_Problem] = []
     titles = rows[0][1]
     if "serial" in _named(titles):
         entries = list(_table(rows, source, problems))
@@ -112,7 +113,7 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
         entries = list(_plain(rows, problems))
     problems += _conflicts(entries, None if slots is None else tuple(slots))
     if problems:
-        listed = "; ".join(problems[:_LISTED])
+        listed = "; ".join(f"line {line}: {what}" for line, what in sorted(problems)[:_LISTED])
         more = f"; and {len(problems) - _LISTED} more" if len(problems) > _LISTED else ""
         raise BadInput(f"units {source}: {listed}{more}. Nothing of it is taken; correct these lines")
     if not entries:
@@ -190,10 +191,10 @@ def _rows(text: str, source: str) -> tuple[list[tuple[int, list[str]]], int]:
     return rows, empty
 
 
-def _plain(rows: list[tuple[int, list[str]]], problems: list[str]) -> Iterator[UnitEntry]:
+def _plain(rows: list[tuple[int, list[str]]], problems: list[_Problem]) -> Iterator[UnitEntry]:
     for line, cells in rows:
         if len(cells) > 1:
-            problems.append(f"line {line}: {len(cells)} columns without titles; one serial a line is expected")
+            problems.append((line, f"{len(cells)} columns without titles; one serial a line is expected"))
         elif _is_good("unit", cells[0], line, problems):
             yield UnitEntry(serial=cells[0], line=line)
 
@@ -209,7 +210,7 @@ def _named(titles: Sequence[str]) -> list[str]:
     return [names.get(low, title) for low, title in zip(lower, titles, strict=True)]
 
 
-def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[str]) -> Iterator[UnitEntry]:
+def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[_Problem]) -> Iterator[UnitEntry]:
     head_line, titles = rows[0]
     named = _named(titles)
     for i, title in enumerate(named):
@@ -219,37 +220,37 @@ def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[str]) 
             raise BadInput(f"units {source}, line {head_line}: two columns are named {title!r}")
     for line, cells in rows[1:]:
         if len(cells) > len(named):
-            problems.append(f"line {line}: {len(cells)} columns, the titles name {len(named)}")
+            problems.append((line, f"{len(cells)} columns, the titles name {len(named)}"))
             continue
         given = {title: cell for title, cell in zip(named, cells, strict=False) if cell}
         if long := [title for title, cell in given.items() if len(cell) > _MOST_CHARACTERS]:
-            problems.append(f"line {line}: more than {_MOST_CHARACTERS} characters in column {long[0]!r}")
+            problems.append((line, f"more than {_MOST_CHARACTERS} characters in column {long[0]!r}"))
         elif "serial" not in given:
-            problems.append(f"line {line}: no serial")
+            problems.append((line, "no serial"))
         elif _is_good("unit", given["serial"], line, problems):
             known = {name: given.pop(name, None) for name in COLUMNS[1:]}
             yield UnitEntry(serial=given.pop("serial"), **known, details=given, line=line)
 
 
-def _is_good(kind: str, name: str, line: int, problems: list[str]) -> bool:
+def _is_good(kind: str, name: str, line: int, problems: list[_Problem]) -> bool:
     try:
         check_name(kind, name)
     except BadInput as error:
-        problems.append(f"line {line}: {error}")
+        problems.append((line, str(error)))
         return False
     return True
 
 
-def _conflicts(entries: Sequence[UnitEntry], slots: tuple[str, ...] | None) -> Iterator[str]:
+def _conflicts(entries: Sequence[UnitEntry], slots: tuple[str, ...] | None) -> Iterator[_Problem]:
     serials: dict[str, int] = {}
     taken: dict[str, UnitEntry] = {}
     for entry in entries:
         if (before := serials.setdefault(entry.serial, entry.line)) != entry.line:
-            yield f"line {entry.line}: unit {entry.serial} is on line {before} already"
+            yield entry.line, f"unit {entry.serial} is on line {before} already"
         if entry.slot is None:
             continue
         if slots is not None and entry.slot not in slots:
             listed = ", ".join(slots) or "it has none"
-            yield f"line {entry.line}: slot {entry.slot!r} is none of the station's: {listed}"
+            yield entry.line, f"slot {entry.slot!r} is none of the station's: {listed}"
         if (other := taken.setdefault(entry.slot, entry)) is not entry:
-            yield f"line {entry.line}: slot {entry.slot} is taken by {other.serial} on line {other.line}"
+            yield entry.line, f"slot {entry.slot} is taken by {other.serial} on line {other.line}"

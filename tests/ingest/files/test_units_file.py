@@ -1,6 +1,7 @@
 """Files of units: every way they come, and every mistake with its line."""
 
 import io
+import re
 import sys
 from pathlib import Path
 
@@ -62,6 +63,7 @@ def test_all_mistakes_are_told_with_their_lines_and_nothing_is_taken() -> None:
     with pytest.raises(BadInput) as caught:
         parse_units(text.encode(), "units.csv", ["A1", "A2", "A3", "A4", "A7"])
     reported = str(caught.value)
+    assert re.findall(r"line \d: ", reported) == [f"line {line}: " for line in range(4, 10)]
     for problem in (
         "units units.csv: ",
         "line 4: unit FOG-1 is on line 2 already",
