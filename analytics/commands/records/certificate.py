@@ -128,6 +128,7 @@ def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> No
 
     The results of a genuine one are computed anew from the store: those that have changed since are listed, as are its
     statements of conformity that the store judges differently, or by a revision withdrawn since; the exit code is 1.
+    `valid` in --json is of the document alone: not superseded, its validity not over, with --trust a trusted signature.
     """
     from analytics.certificate.record import read_certificates
     from analytics.certificate.reproduction import changed_results, changed_statements
@@ -153,6 +154,8 @@ def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> No
 
 def _print_verified(found: "Verified", file: Path) -> None:
     state = "genuine and valid" if found.valid else "genuine, not valid" if found.genuine else "not genuine"
+    if found.changed:
+        state = f"{'genuine' if found.valid else state}; the store computes or judges it differently today"
     of = f": certificate {found.number} of {found.unit}, issued {found.issued}" if found.genuine else ""
     results().print(f"{file}: {state}{of}", soft_wrap=True)
     for each in (*found.why, *(found.changed or [])):

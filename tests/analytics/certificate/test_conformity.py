@@ -80,6 +80,9 @@ def test_a_statement_that_no_longer_holds_is_named(
     assert run_command("limits", "withdraw", "VG-20-A", *by, cwd=folder).code == 0
     done = run_command("certificate", "verify", "signed.pdf", "--store", "lab", "--json", cwd=folder)
     withdrawn, judged = done.json["changed"]
+    text = run_command("certificate", "verify", "signed.pdf", "--store", "lab", cwd=folder).out
+    assert ": genuine; the store computes or judges it differently today: certificate " in text
+    assert "genuine and valid" not in text
     assert (done.code, done.json["genuine"], done.json["valid"]) == (1, True, True)
     assert withdrawn.startswith("conformity is stated by VG-20-A; VG-20-A was withdrawn on ")
     assert withdrawn.endswith(" by Wu: typed wrong")
