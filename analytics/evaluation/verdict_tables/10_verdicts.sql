@@ -45,8 +45,10 @@ from entered e left join mounted m using (unit) anti join internal.unit_last_run
 anti join idle i on i.unit = e.unit;
 
 -- At which moment it is looked up what was known of the specifications: when the run was recorded, so that what is
--- entered later changes no verdict; where no limit applied by what was known then, the first moment after it when one
--- did. Where none ever did, or nothing tells when a run was recorded, everything is known.
+-- entered later changes no verdict. Where no limit applied by what was known then, it is for each specification the first
+-- moment after it when one of its limits did (`first_known`), so that all that nothing judged before are judged, in
+-- whatever order they are entered; `known_ns` is the first of these. Where none ever did, or nothing tells when a run
+-- was recorded, everything is known.
 create or replace table internal.run_known as
 with placed as (
   select u.unit, u.run, coalesce(u.product, l.product) as product, u.date_known, u.t_start_ns as t_ns,
@@ -60,16 +62,32 @@ with placed as (
   select p.* replace (coalesce(p.recorded_ns, r.recorded_ns, 9223372036854775806) as recorded_ns)
   from placed p left join recorded r using (unit, run)
 ), edition as (
-  select distinct product, from_ns, until_ns, known_from_ns, known_until_ns, revisions from internal.limit_editions
+  select distinct specification, product, from_ns, until_ns, known_from_ns, known_until_ns, revisions
+  from internal.limit_editions
 ), applied as (
-  select m.unit, m.run, min(greatest(e.known_from_ns, m.recorded_ns)) as known_ns
+  select m.unit, m.run, e.specification, min(greatest(e.known_from_ns, m.recorded_ns)) as known_ns
   from moment m join edition e on e.known_until_ns > m.recorded_ns
     and (e.product is null or e.product = m.product)
     and case when m.date_known then m.t_ns >= e.from_ns and m.t_ns < e.until_ns else e.revisions = 1 end
-  group by m.unit, m.run
+  group by m.unit, m.run, e.specification
+), first_applied as (
+  select unit, run, min(known_ns) as known_ns, map(list(specification), list(known_ns)) as first_known
+  from applied group by unit, run
 )
-select m.unit, m.run, coalesce(a.known_ns, 9223372036854775806) as known_ns
-from moment m left join applied a using (unit, run);
+select m.unit, m.run, coalesce(a.known_ns, 9223372036854775806) as known_ns,
+  if(a.known_ns > m.recorded_ns, a.first_known, null) as first_known
+from moment m left join first_applied a using (unit, run);
+-- A specification that never applied is known as well, unless it is of a later time and was entered since: that asks for nothing.
+create or replace macro internal.known_of(known_ns, first_known, specification, is_later) as
+  if(first_known is null, known_ns, coalesce(first_known[specification], if(is_later, known_ns, 9223372036854775806)));
+
+-- The products that specifications name, and of each unit the last such product: where a run is of a product that none
+-- names, limits of that one were meant.
+create or replace table internal.named_products as
+select product from internal.limit_editions where product is not null union select product from internal.product_editions;
+create or replace table internal.meant_products as
+select unit, arg_max(product, (date_known, t_start_ns)) as product
+from unit_runs semi join internal.named_products using (product) group by unit;
 
 -- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
 -- last run where it rests on none.
@@ -88,11 +106,14 @@ select m.*,
   case when u.run is null then l.day else u.day end as day,
   coalesce(u.date_known, l.date_known, false) as date_known,
   coalesce(u.t_start_ns, l.t_ns) as t_ns,
-  k.known_ns
+  k.known_ns as run_known_ns, k.first_known,
+  -- a product that no specification names, of a run beside those of a product that one does
+  if(u.product <> l.product and u.product not in (select product from internal.named_products), p.product, null) as meant_product
 from limited m
 left join over_several o on o.row = m.row
 left join unit_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
 left join internal.judged_units l on l.unit = m.unit
+left join internal.meant_products p on p.unit = m.unit
 left join internal.run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.run);
 
 -- Which values have the parameters that a limit names. Numbers are alike to nine digits.
@@ -125,17 +146,21 @@ with meant as (
   select p.row, p.limit_id from internal.parameters_met p join internal.limit_editions s using (limit_id)
   where p.met = s.parameter_count
 )
-select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
-  s.limit_id, s.unit_of_measure as limit_unit, m.known_ns < s.known_until_ns as is_known,
+select m.* exclude (run_known_ns, first_known),
+  s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
+  s.limit_id, s.unit_of_measure as limit_unit, s.parameters as limit_parameters, s.standard as limit_standard,
+  s.product as limit_product, coalesce(s.product = m.meant_product, false) as is_mistyped,
+  internal.known_of(m.run_known_ns, m.first_known, s.specification, m.date_known and m.t_ns < s.from_ns) as known_ns,
+  known_ns < s.known_until_ns as is_known,
   -- where the date is not known, a specification that has never changed is the one that held
   case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
 from meant
 join internal.metric_runs m using (row)
 join internal.limit_editions s using (limit_id)
-where m.known_ns >= s.known_from_ns
+where known_ns >= s.known_from_ns
   -- a value with the Earth's rate in it is judged where a limit asks for that, or nobody can remove it
   and (not is_earth_rate_known(m.parameters) or s.parameters->>'$.earth_rate' is not null)
-  and (s.product is null or s.product = m.product)
+  and (s.product is null or s.product = coalesce(m.meant_product, m.product))
   and (s.signal is null or s.signal = m.signal)
   and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
 
@@ -160,6 +185,10 @@ select d.unit, d.run, d.signal,
 from decided d join released r using (unit, run)
 group by d.unit, d.run, d.signal, metric, d.tau_s, d.upper, d.unit_of_measure;
 
+create or replace macro internal.no_limit_for(product, others) as 'no limit is for its product ' || product || ', but for '
+  || others || ': correct it with `gyrofleet import --units`, '
+  || 'or add a table of that product to the specification where the limits for every product are all';
+
 create or replace table internal.withdrawn_revisions as
 select specification, revision, specification || '-' || revision || ' was withdrawn on '
     || strftime(make_timestamp(max(t_ns) // 1000), '%Y-%m-%d') || ' by ' || arg_max(entered_by, t_ns) || ': '
@@ -183,7 +212,9 @@ with meant as materialized (
     case when c."U" is null then c.freedom else c.nu end as v_nu
   from candidate c
   left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
-  where c.is_valid
+  where c.is_valid and not c.is_mistyped
+  -- a specification of another name that is entered later for the same does not judge again
+  qualify c.known_ns = min(c.known_ns) over (partition by c.row, c.limit_parameters, c.limit_standard)
 ), widened as (                         -- the 95 % interval, as wide as U where that is known and wider
   select * replace (
     case when decision_rule = 'interval' and v_lo is not null then least(v_lo, v - v_u_expanded) else v_lo end as v_lo,
@@ -285,7 +316,13 @@ with meant as materialized (
         partition by unit, signal, metric, subject, standard, specification) as is_unjudged
   from judged
 ), not_judged as (                      -- that limits have asked for, of which none was valid and known at the time
-  from meant anti join (select row from candidate where is_valid) v using (row)
+  from meant anti join (select row from candidate where is_valid and not is_mistyped) v using (row) where not is_mistyped
+), mistyped as (                        -- that a limit asks for, but for the unit's other product
+  select unit, signal, run, metric, subject, 'NO_DATA' as verdict, value, lo, hi, null::double as lower,
+    null::double as upper, unit_of_measure, parameters, runs, standard, clause, specification, null::varchar as revision,
+    internal.no_limit_for(product, limit_product) as reason, product, lot, station, fixture, day, t_ns, date_known,
+    true as is_unjudged
+  from candidate where is_mistyped and is_valid and value is not null
 ), valid_then as (                      -- what the revisions of such a specification limit that were
   select n.row, n.specification, string_agg(distinct s.revision, ', ' order by s.revision) as revision,
     bool_or(s.product is null or s.product = n.product) as is_for_product,
@@ -330,11 +367,18 @@ with meant as materialized (
   left join there_is t on t.row = n.row and t.specification = n.specification
   where not coalesce(v.is_for_product and (v.is_limited or v.limited_of is null), false)
   group by n.row, n.unit, n.signal, n.run, n.metric, n.specification
+), explained as (                       -- values whose row says that no limit of their product was in force
+  select o.unit, o.product, o.t_ns, o.is_unjudged
+  from outside o semi join internal.limit_editions s
+    on s.specification = o.specification and s.metric = o.metric and s.product = o.product
 ), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
   select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns, u.lack,
     s.* exclude (product), s.signal as limit_signal, s.product as limit_product
   from internal.judged_units u join internal.run_known k on k.unit = u.unit and k.run = u.run
-  join internal.limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
+  join internal.limit_editions s
+    -- limits of other products make no unit doubtful that was judged before them
+    on if(s.product <> u.product, k.known_ns, internal.known_of(k.known_ns, k.first_known, s.specification, false))
+      between s.known_from_ns and s.known_until_ns - 1
     and case when u.date_known then u.t_ns >= s.from_ns and u.t_ns < s.until_ns else s.revisions = 1 end
 ), asked as (                           -- limits for every product apply to each unit
   select * exclude (limit_product) from in_force where limit_product is null or limit_product = product
@@ -346,13 +390,14 @@ with meant as materialized (
     case when product is null
       then 'its product is not known, so that no limit of ' || string_agg(distinct limit_product, ', ' order by limit_product)
         || ' is applied: name its product with `gyrofleet import --units`, or where it is mounted'
-      else 'no limit is for its product ' || product || ', but for '
-        || string_agg(distinct limit_product, ', ' order by limit_product) || ': correct it with `gyrofleet import --units`, '
-        || 'or add a table of that product to the specification where the limits for every product are all'
+      when product in (select product from internal.named_products)
+        then 'no limit for its product ' || product || ' was in force at ' || any_value(day)
+      else internal.no_limit_for(product, string_agg(distinct limit_product, ', ' order by limit_product))
     end as reason,
     product, any_value(lot) as lot, any_value(station) as station, any_value(fixture) as fixture,
     any_value(day) as day, any_value(t_ns) as t_ns
-  from in_force
+  from in_force f anti join explained e
+    on e.unit = f.unit and e.product = f.product and (e.is_unjudged or e.t_ns >= f.t_ns)
   where limit_product is not null and (product is null or product not in (select product from internal.product_editions))
   group by unit, product
   having product is null or not bool_or(limit_product = product)
@@ -406,6 +451,7 @@ with meant as materialized (
 select v.* replace (coalesce(v.is_unjudged, false) as is_unjudged), w.withdrawn from (
   select * from of_values
   union all by name select * from outside
+  union all by name select * from mistyped
   union all by name select * from lacking
   union all by name select * from unknown_product
   union all by name select * from entered

@@ -26,6 +26,14 @@ lower = 0
 upper = {}
 unit_of_measure = "{}"
 """
+WALK = """
+name = "WALK"
+revision = "A"
+[[limit]]
+metric = "angle_random_walk"
+upper = 10.0
+unit_of_measure = "deg/sqrt(h)"
+"""
 Ask = Callable[..., Any]
 
 
@@ -83,3 +91,34 @@ def test_values_far_inside_of_a_limit(count: int, units: int, bound: float, *, d
         "warning: bias: -2000 deg/h is 2,000 times the largest of 5 stored values (1 deg/h): check its unit of measure"
     )
     assert found == [said] * doubted
+
+
+@pytest.mark.parametrize("names", [["WALK", "P1"], pytest.param(["P1", "WALK"], marks=pytest.mark.long)])
+def test_all_specifications_entered_after_a_run_judge_it_in_any_order(
+    ask: Ask, tmp_path: Path, names: list[str]
+) -> None:
+    ask("import", record(tmp_path / "bad.csv", "BAD", 50.0, 1))
+    texts = {"WALK": WALK, "P1": LIMIT.format("A", 10.0, "deg/h"), "LATER": LIMIT.format("A", 1.0, "deg/h")}
+    texts["LATER"] = texts["LATER"].replace('"P1"', '"LATER"')
+    for name in [*names, "LATER"]:
+        if name == "LATER":  # nor is it judged again by another name
+            ask("limits", "withdraw", "P1-A", "--reason", "renamed")
+        (tmp_path / f"{name}.toml").write_text(texts[name])
+        ask("limits", "add", tmp_path / f"{name}.toml")
+    with computing("bias", "angle_random_walk"):
+        found = ask("verdicts")
+    rows = {(row["metric"], row["specification"], row["verdict"]) for row in found["verdicts"]}
+    assert rows == {("angle_random_walk", "WALK", "PASS"), ("bias", "P1", "FAIL")}
+    assert [row["verdict"] for row in found["units"]] == ["FAIL"]
+
+
+@pytest.mark.long
+def test_a_specification_entered_since_changes_no_verdict_of_what_limits_judged_when_it_was_recorded(
+    ask: Ask, enter: Callable[..., Any], tmp_path: Path
+) -> None:
+    enter("A", 10.0, "deg/h")
+    ask("import", record(tmp_path / "two.csv", "G2", 5.0, 2))
+    (tmp_path / "walk.toml").write_text(WALK.replace("10.0", "1e-9"))
+    ask("limits", "add", tmp_path / "walk.toml")
+    with computing("bias", "angle_random_walk"):
+        assert {row["unit"]: row["verdict"] for row in ask("verdicts")["units"]} == {"G1": "FAIL", "G2": "PASS"}

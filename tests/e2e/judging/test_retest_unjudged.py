@@ -35,15 +35,15 @@ def _few_metrics() -> Iterator[None]:
 
 @pytest.fixture
 def enter(ask: Ask, tmp_path: Path) -> Ask:
-    """Enter a specification, or measure the bias of a unit on a day of October."""
-    (tmp_path / "units.csv").write_text("serial,product,lot\nV1,P1,L1\nV2,P1,L1\n")
+    """Enter a specification, or measure the bias of a unit on a day of October, of P1 or another product."""
 
     def enter(*given: Any) -> None:
         if isinstance(given[0], str) and "revision" in given[0]:
             (tmp_path / "p1.toml").write_text(given[0])
             ask("limits", "add", tmp_path / "p1.toml", *given[1:])
             return
-        unit, day, bias = given
+        unit, day, bias, product = (*given, "P1")[:4]
+        (tmp_path / "units.csv").write_text(f"serial,product,lot\n{unit},{product},L1\n")
         path = record(tmp_path / f"{unit}-{day}.csv", unit, bias, day, day)
         ask("import", path, "--units", tmp_path / "units.csv")
 
@@ -143,3 +143,51 @@ def test_what_asks_for_nothing_keeps_no_unit_from_passing(ask: Ask, enter: Ask) 
         "V2": ("PASS", None),
     }
     assert not [row for row in found["verdicts"] if row["run"] == "V2-6" and row["metric"] != "bias"]
+
+
+MISTYPED = "no limit is for its product P11, but for P1: correct it with `gyrofleet import --units`, or add a table"
+
+
+@pytest.mark.parametrize("days", [[4], pytest.param([2], marks=pytest.mark.long)])
+def test_a_run_of_a_mistyped_product_is_not_judged(ask: Ask, enter: Ask, tmp_path: Path, days: list[int]) -> None:
+    """The product of the first run, or of one in the middle, is named by no specification."""
+    enter(A)
+    walk = WALK.replace('product = "P1"\n', "")
+    enter('name = "ALL"\nrevision = "A"\n' + walk)
+    for day in (2, 4, 6):
+        enter("V1", day, 20.0 if day in days else 5.0, "P11" if day in days else "P1")
+    found = ask("verdicts")
+    (unit,) = found["units"]
+    assert (unit["verdict"], unit["latest_verdict"]) == ("NO_DATA", "PASS")
+    assert unit["reason"].startswith(f"bias of run V1-{days[0]} is not judged: {MISTYPED}")
+    ((run, value),) = ((row["run"], row["value"]) for row in found["verdicts"] if row["is_unjudged"])
+    assert (run, value) == (f"V1-{days[0]}", pytest.approx(20.0, abs=0.1))
+    groups = {row["name"]: (row["passed"], row["no_data"]) for row in ask("verdicts", "--by", "product")["yield"]}
+    assert groups["P11"] == (0, 1)
+    enter(HEAD.format("B", 8).replace("P1", "ALL") + "[product.P11]\n" + walk)  # the limits for every product are all
+    assert [row["verdict"] for row in ask("verdicts")["units"]] == ["PASS"]
+
+
+@pytest.mark.long
+def test_a_unit_moved_to_another_product_with_limits_passes(ask: Ask, enter: Ask) -> None:
+    enter(A + WALK + WALK.replace("P1", "P2"))
+    enter("V1", 2, 50.0, "P2")
+    enter("V1", 4, 5.0)
+    assert [row["verdict"] for row in ask("verdicts")["units"]] == ["PASS"]
+
+
+@pytest.mark.parametrize("is_measured", [True, pytest.param(False, marks=pytest.mark.long)])
+def test_a_product_whose_limits_are_over_is_not_called_wrong(ask: Ask, enter: Ask, is_measured: bool) -> None:
+    """Those of another product are in force; a unit of which nothing was measured does not pass either."""
+    text = A.replace("[[limit]]", UNTIL + "[[limit]]")
+    if not is_measured:
+        text = text.replace('"bias"', '"bias_repeatability"').replace('parameters = { earth_rate = "none" }\n', "")
+    enter(text)
+    walk = WALK.replace('product = "P1"\n', "")
+    enter('name = "P2"\nrevision = "A"\n' + LIMIT.format("P2") + walk)
+    enter("V1", 6, 5.0)
+    found = ask("verdicts")
+    assert [row["verdict"] for row in found["units"]] == ["NO_DATA"]
+    (row,) = (row for row in found["verdicts"] if row["verdict"] == "NO_DATA")
+    over = "no revision of P1 was valid at 2026-10-06: there is A from 2026-10-01 until 2026-10-06 (not included)"
+    assert row["reason"] == (over if is_measured else "no limit for its product P1 was in force at 2026-10-06")
