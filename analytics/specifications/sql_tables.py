@@ -30,7 +30,7 @@ _PRODUCTS = pa.schema({
 } | dict.fromkeys((name for name in Product.__struct_fields__ if name != "scale_factor_unit"), _REAL))  # fmt: skip
 _HISTORY = pa.schema({
     "t_ns": _WHOLE, "action": _TEXT, "specification": _TEXT, "revision": _TEXT, "entered_by": _TEXT, "reason": _TEXT,
-    "rejudges": pa.bool_(), "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
+    "rejudges": pa.bool_(), "known_ns": _WHOLE, "content": _TEXT, "sha256": _TEXT, "previous": _TEXT,
 })  # fmt: skip
 SPECIFICATION_TABLES = (
     "limit_editions", "specification_parameters", "product_editions", "specification_history", "specification_problems",
@@ -101,7 +101,7 @@ def _history(chain: Chain) -> list[dict[str, object]]:
     return [
         msgspec.structs.asdict(link.document)
         | {"action": link.document.action.value, "specification": link.document.name, "sha256": link.hash}
-        | {"revision": link.document.revision, "entered_by": link.document.by}
+        | {"revision": link.document.revision, "entered_by": link.document.by, "known_ns": link.known_ns}
         for link in chain.links
     ]
 

@@ -107,10 +107,10 @@ anti join each_run of_run on of_run.unit = l.unit and of_run.run = l.run
 union all
 select unit, [],
   len(runs) || if(len(runs) = 1, ' run', ' runs') || ' (' || array_to_string(runs[:4], ', ') || if(len(runs) > 4, ', ...', '')
-    || ') of product ' || product || ', for which there are no limits: nothing above is of it; where it is not its product, '
+    || ') of product ' || product || ', for which there are no limits: none of it is judged; where it is not its product, '
     || 'correct it with `gyrofleet import --units`',
   '有 ' || len(runs) || ' 次试验（' || array_to_string(runs[:4], '、') || if(len(runs) > 4, '等', '') || '）的产品型号为 '
-    || product || '，该型号没有限值：以上结果均不含这些试验；若型号有误，请用 `gyrofleet import --units` 更正'
+    || product || '，该型号没有限值：这些试验均未判定；若型号有误，请用 `gyrofleet import --units` 更正'
 from (
   select r.unit, r.product, list(distinct r.run order by r.run) as runs
   from each_run r join last_product last on last.unit = r.unit and last.product <> r.product

@@ -48,7 +48,7 @@ anti join idle i on i.unit = e.unit;
 -- entered later changes no verdict. Where no limit applied by what was known then, it is for each specification the first
 -- moment after it when one of its limits did (`first_known`), so that all that nothing judged before are judged, in
 -- whatever order they are entered; `known_ns` is the first of these. Where none ever did, or nothing tells when a run
--- was recorded, everything is known.
+-- was recorded, everything is known. A document that rejudges counts as if all before it were recorded then.
 create or replace table internal.run_known as
 with placed as (
   select u.unit, u.run, coalesce(u.product, l.product) as product, u.date_known, u.t_start_ns as t_ns,
@@ -59,7 +59,8 @@ with placed as (
 ), recorded as (
   select unit, run, min(arrival_first_ns) as recorded_ns from internal.lake_channels group by unit, run
 ), moment as (
-  select p.* replace (coalesce(p.recorded_ns, r.recorded_ns, 9223372036854775806) as recorded_ns)
+  select p.* replace (greatest(coalesce(p.recorded_ns, r.recorded_ns, 9223372036854775806),
+    (select max(known_ns) from specification_history where rejudges)) as recorded_ns)
   from placed p left join recorded r using (unit, run)
 ), edition as (
   select distinct specification, product, from_ns, until_ns, known_from_ns, known_until_ns, revisions
@@ -77,7 +78,8 @@ with placed as (
 select m.unit, m.run, coalesce(a.known_ns, 9223372036854775806) as known_ns,
   if(a.known_ns > m.recorded_ns, a.first_known, null) as first_known
 from moment m left join first_applied a using (unit, run);
--- A specification that never applied is known as well, unless it is of a later time and was entered since: that asks for nothing.
+-- A specification that never applied is known as well, unless it is of a later time and was entered since: that asks
+-- for nothing.
 create or replace macro internal.known_of(known_ns, first_known, specification, is_later) as
   if(first_known is null, known_ns, coalesce(first_known[specification], if(is_later, known_ns, 9223372036854775806)));
 

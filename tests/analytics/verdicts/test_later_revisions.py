@@ -90,7 +90,9 @@ def test_what_holds_now_judges_what_was_recorded_before_where_that_is_asked_for(
 ) -> None:
     specify(measured_store, "A", limit(2.0))
     specify(measured_store, "B", limit(1.0, "valid_from = 2025-01-01"), rejudges=True)
+    specify(measured_store, "1", limit(1e-6, metric="bias_stability_averaged"), "more")
     assert judged(measured_store) == FAILED
+    withdraw_specification(measured_store, "more-1", by=Actor("Li"), reason="wrong")
     withdraw_specification(measured_store, "fog-B", by=Actor("Li"), reason="wrong", rejudges=True)
     assert judged(measured_store) == PASSED
 

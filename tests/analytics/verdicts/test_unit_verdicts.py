@@ -177,9 +177,7 @@ def test_runs_of_a_product_without_limits_are_named_beside_those_that_are_judged
     found = verdicts_of(judged.catalog(runs, [{"value": 0.0, "lo": -0.1, "hi": 0.1}])).warnings
     ((unit, reason, zh),) = [(row["unit"], row["reason"], row["reason_zh"]) for row in found]
     assert unit == "U1"
-    assert reason.startswith(
-        "2 runs (r2, r3) of product FOG-SIM, for which there are no limits: nothing above is of it"
-    )
+    assert reason.startswith("2 runs (r2, r3) of product FOG-SIM, for which there are no limits: none of it is judged")
     assert "FOG-SIM" in zh
 
 
