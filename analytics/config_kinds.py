@@ -9,12 +9,12 @@ import click
 import msgspec
 
 from stream.errors import BadInput, GyrofleetError
+from stream.files.toml_text import decode_toml
 from stream.mistakes import collected, listed
 from stream.roles.config_file import check_config
 from stream.security.pem_text import fault_of_pem
 from stream.security.site_rules import RULES_FILE
 from stream.terminal.console import counted
-from stream.toml_text import decode_toml
 
 _MOST_BYTES = 16 << 20
 _SETTINGS = "settings"

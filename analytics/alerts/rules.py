@@ -18,8 +18,8 @@ from analytics.alerts.webhook_target import WebhookTarget
 from stream.decoding import converted
 from stream.errors import BadInput
 from stream.files.own_files import imported
+from stream.files.toml_text import decode_toml
 from stream.mistakes import collected, listed, mistakes
-from stream.toml_text import decode_toml
 
 ALARM = "alarm"
 WARNING = "warning"

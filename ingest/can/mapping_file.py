@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 
 class SignalEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

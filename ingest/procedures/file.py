@@ -9,9 +9,9 @@ import msgspec
 
 from ingest.procedures.series import Kind
 from stream.errors import BadInput
+from stream.files.toml_text import decode_toml
 from stream.identity import check_name
 from stream.mistakes import near_name
-from stream.toml_text import decode_toml
 
 Value = float | str
 Least1 = msgspec.Meta(min_length=1)

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 _BESIDE = "security"
 

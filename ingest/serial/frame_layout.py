@@ -10,8 +10,8 @@ import numpy as np
 from ingest.checksums import SERIAL_CHECKSUM_BYTES, ByteArray, SerialChecksum
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
+from stream.files.toml_text import decode_toml
 from stream.identity import check_name
-from stream.toml_text import decode_toml
 
 FieldType = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "float32", "float64"]
 ByteOrder = Literal["little", "big"]

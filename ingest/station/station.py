@@ -19,9 +19,9 @@ from ingest.measurement_standards import DETAIL, Standard, standards_text
 from ingest.station_clock import StationClock
 from stream.decoding import converted
 from stream.errors import BadInput
+from stream.files.toml_text import decode_toml
 from stream.identity import Place, check_name
 from stream.mistakes import collected, listed, mistakes
-from stream.toml_text import decode_toml
 
 Stated = TypeVar("Stated", bound=Standard)
 # JJF and GJB stand on Earth: what lies outside is a slip of the unit

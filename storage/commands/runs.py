@@ -1,5 +1,6 @@
 """The commands `gyrofleet runs`: what was measured, and what of it is excluded from evaluation."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,23 @@ select r.run, r.started, r.duration_s, r.outcome,
 from runs r order by r.started, r.run
 """
 
-_units_option = click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit of it; repeatable.")
-_check_option = click.option("--check", metavar="UID", help="A check entered by hand, in place of a run.")
-_reason_option = click.option("--reason", required=True, help="Why; it stands in the log with your name.")
-_by_option = click.option("--by", help="Who; by default the user of the system, with --security whom it names.")
+_ACT = (
+    click.argument("run", type=RUN, required=False),
+    click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit of it; repeatable."),
+    click.option("--check", metavar="UID", help="A check entered by hand, in place of a run."),
+    click.option("--reason", required=True, help="Why; it stands in the log with your name."),
+    click.option("--by", help="Who; by default the user of the system, with --security whom it names."),
+    store_option,
+    reporting,
+    secured(Role.APPROVER, Role.RECORDER),
+)
+
+
+def _act(function: Callable[..., None]) -> Callable[..., None]:
+    """What both acts on runs take."""
+    for each in reversed(_ACT):
+        function = each(function)
+    return function
 
 
 @click.group("runs", cls=CommandGroup)
@@ -72,28 +86,14 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
 
 @runs.command("exclude")
-@click.argument("run", type=RUN, required=False)
-@_units_option
-@_check_option
-@_reason_option
-@_by_option
-@store_option
-@reporting
-@secured(Role.APPROVER, Role.RECORDER)
+@_act
 def exclude(run: str | None, folder: Path, **given: Any) -> None:
     """Exclude a RUN from every evaluation; its samples stay."""
     _enter("excluded", run, folder, **given)
 
 
 @runs.command("include")
-@click.argument("run", type=RUN, required=False)
-@_units_option
-@_check_option
-@_reason_option
-@_by_option
-@store_option
-@reporting
-@secured(Role.APPROVER, Role.RECORDER)
+@_act
 def include(run: str | None, folder: Path, **given: Any) -> None:
     """Include a RUN again that was excluded from evaluation."""
     _enter("included", run, folder, **given)

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from stream.errors import BadInput, UnknownUnit
+from stream.files.toml_text import decode_toml
 from stream.quantities import check_unit, is_angular_rate
-from stream.toml_text import decode_toml
 
 WALK = "angle_random_walk"
 WALK_UNIT = "deg/sqrt(h)"

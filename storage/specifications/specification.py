@@ -13,7 +13,7 @@ import msgspec
 from storage.specifications.screening_file import converted_limits
 from stream.decoding import converted
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 Parameter = float | int | str | bool
 Positive = Annotated[float, msgspec.Meta(gt=0)]

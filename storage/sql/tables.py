@@ -11,7 +11,7 @@ from storage.sql.catalog import Catalog, known_tables, layers
 from storage.store import Store
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.files.atomic_file import replacement
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 ColumnTexts = Mapping[str, Mapping[str, str]]
 _EVERY = "every"

@@ -1,1 +1,1 @@
-"""Files: written at once, and those that a site adds to the program."""
+"""Files: written at once, read as TOML, and those that a site adds to the program."""

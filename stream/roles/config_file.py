@@ -17,10 +17,10 @@ import click
 import msgspec
 
 from stream.errors import BadInput, BusError, GyrofleetError
+from stream.files.toml_text import decode_toml
 from stream.mistakes import collected, listed
 from stream.security.endpoint import parse_endpoint
 from stream.terminal.option_checks import checks_of
-from stream.toml_text import decode_toml
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 TABLE = "gyrofleet_config"  # where a command keeps the name of its table

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 RULES_FILE = "site.toml"
 

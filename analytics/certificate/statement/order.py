@@ -8,7 +8,7 @@ import msgspec
 
 from analytics.certificate.statement.words import Words
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 Text = str | Words
 Range = tuple[float, float]

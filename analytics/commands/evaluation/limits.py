@@ -228,13 +228,15 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
 def _enter(
     file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
 ) -> None:
-    from analytics.evaluation.far_limits import far_limits
+    from analytics.evaluation.kept_metrics import kept_metrics
     from analytics.metric_registry.registry import metrics
     from analytics.specifications.checking import checked_specification
     from analytics.specifications.doubts import doubts_of
     from analytics.specifications.entering import add_specification
+    from analytics.specifications.far_limits import far_limits
     from storage.specifications.specification import read_specification
     from storage.specifications.validity import stored_specifications
+    from storage.sql.catalog import Catalog
     from storage.store import Store
     from stream.quantities import is_noise_density, result_factor
 
@@ -243,7 +245,10 @@ def _enter(
     found, is_new, proposal = add_specification(
         store, file, by=acting(by), reason=reason, is_revision=is_revision, rejudges=rejudges
     )
-    doubts = [*doubts_of(store, found), *far_limits(store, found.limits)]
+    doubts = doubts_of(store, found)
+    with Catalog(store) as catalog:
+        kept, _ = kept_metrics(catalog.kept)
+        doubts += [] if kept is None else far_limits(catalog, kept, found.limits)
     for each in doubts:
         notes().print(each, soft_wrap=True)
     if as_json:

@@ -12,10 +12,8 @@ from stream.batch import FloatArray
 
 _HALF_WIDTHS = (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032)
 _WIDE_HALF_WIDTHS = (0.045, 0.064, 0.09, 0.13, 0.18, 0.25, 0.32)  # where every rate is beyond the others
-_NEXT_WIDTH, _MOST_NARROW = (
-    2.0**0.5,
-    20,
-)  # where the table stays at smaller rates: down to 1 of a million of the largest
+# where the table stays at smaller rates: down to a millionth of the largest
+_NEXT_WIDTH, _MOST_NARROW = 2.0**0.5, 20
 _BEYOND_SPREAD, _LEAST_OF_LARGEST = 3.0, 1e-6
 _LIMITS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 

@@ -16,9 +16,8 @@ from analytics.loop.tracing.result.holdout import ErrorGain, HeldOutAnswer, Hold
 from analytics.loop.tracing.search.fitted_candidates import JUMP
 
 _OR, _AND = ("or", "或"), ("and", "和")
-_OF_MEANS = (
-    0.1  # ratio of the squared errors that fall within runs and in their means, below which it acts on the means
-)
+# ratio of the squared errors that fall within runs and in their means, below which an effect acts on the means
+_OF_MEANS = 0.1
 _FROM_ONE = 0.9  # share of the evidence from one run that is the reason why an effect does not replicate
 
 
@@ -237,7 +236,7 @@ def _jumped(found: FoundEffect, name: str, words: Wording) -> str:
         return once
     en, zh = (words.listed([channel_name(each)[n] for each in found.coincides], _OR) for n in (0, 1))
     return once + words.of(
-        f", which cannot be told apart from the steps of {en} at that time", f"，无法与{zh}同时发生的阶跃区分"
+        f", which these data cannot separate from the steps of {en} at that time", f"，无法与{zh}同时发生的阶跃区分"
     )
 
 

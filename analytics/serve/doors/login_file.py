@@ -24,7 +24,7 @@ from analytics.serve.doors.origin import is_loopback
 from analytics.serve.doors.roles import Role
 from analytics.serve.doors.users_file import RoleWord
 from stream.errors import BadInput
-from stream.toml_text import decode_toml
+from stream.files.toml_text import decode_toml
 
 # where a provider sends browsers back to
 DONE_PATH = "/login/oidc/done"

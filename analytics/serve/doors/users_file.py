@@ -26,8 +26,8 @@ from analytics.serve.doors.roles import Person, Role
 from stream.decoding import converted
 from stream.errors import BadInput
 from stream.files.atomic_file import write_durably
+from stream.files.toml_text import decode_toml
 from stream.security.file_modes import fault_of_rules
-from stream.toml_text import decode_toml
 
 RoleWord = Literal["viewer", "operator", "engineer", "approver"]
 _NAME = re.compile(r"[\w.@+-]{1,64}")

@@ -11,8 +11,8 @@ import msgspec
 from ingest.simulator.physics.draws import NotNegative, unit_generator
 from stream.decoding import converted
 from stream.errors import BadInput
+from stream.files.toml_text import decode_toml
 from stream.identity import check_name
-from stream.toml_text import decode_toml
 
 _TRIES = 1000
 

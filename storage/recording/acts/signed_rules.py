@@ -12,9 +12,9 @@ import msgspec
 from storage.store import Store
 from stream.errors import BadInput
 from stream.files.atomic_file import write_durably
+from stream.files.toml_text import decode_toml
 from stream.security.credentials import Credentials
 from stream.security.site_rules import RULES_FILE, Subject, read_site_rules
-from stream.toml_text import decode_toml
 
 SIGNED_RULES_FILE = "site.signed.toml"
 _HEAD = """\

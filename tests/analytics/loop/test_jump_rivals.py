@@ -31,10 +31,12 @@ def test_the_channel_that_steps_is_named() -> None:
     for each in (together, apart):
         assert [effect.name for effect in each.effects] == ["jump"]
     assert together.effects[0].coincides == ("rate_y",)
-    assert "cannot be told apart from the steps of rate_y at that time" in verdict_sentence(together, Wording("en"))
+    assert "which these data cannot separate from the steps of rate_y at that time" in verdict_sentence(
+        together, Wording("en")
+    )
     assert "无法与rate_y同时发生的阶跃区分" in verdict_sentence(together, Wording("zh"))
     assert apart.effects[0].coincides == ()
-    assert "told apart" not in verdict_sentence(apart, Wording("en"))
+    assert "cannot separate" not in verdict_sentence(apart, Wording("en"))
 
 
 def test_outputs_that_are_not_read_are_named_beside_a_jump() -> None:

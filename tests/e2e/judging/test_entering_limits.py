@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from analytics.evaluation.far_limits import Kept, doubts
+from analytics.specifications.far_limits import Kept, doubts
 from gyrofleet import main
 from storage.specifications.specification import SpecificationLimit
 from tests.analytics.verdicts.few_metrics import computing

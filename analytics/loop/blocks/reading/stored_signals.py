@@ -146,8 +146,9 @@ def usual_block_s(
 ) -> float:
     """Default length of a block: the least, or the median interval between samples if that is longer."""
     rows = catalog.rows(
-        "select median(sample_interval_s) from signals where list_contains($units, unit) and signal = $signal "
-        "and ($runs is null or list_contains($runs, run))",
+        "select median(sample_interval_s) from signals s left join exclusions x using (unit, run) "
+        "where list_contains($units, unit) and signal = $signal "
+        "and case when $runs is null then x.run is null else list_contains($runs, run) end",
         {"units": list(units), "signal": signal, "runs": None if runs is None else list(runs)},
     )
     interval_s = float(rows[0][0] or 0.0)

@@ -252,9 +252,9 @@ class ErrorTable(msgspec.Struct, frozen=True):
         """The averaging time at which the squared error falls most, if by half at least, beyond chance where known."""
 
         def gain(row: ErrorAt) -> float:
-            return (
-                -1.0 if row.gain is None or not (row.gain.lo is None or row.gain.is_significant) else row.gain.fraction
-            )
+            if row.gain is None or (row.gain.lo is not None and not row.gain.is_significant):
+                return -1.0
+            return row.gain.fraction
 
         best = max(self.rows, key=gain, default=None)
         return best if best is not None and gain(best) >= MUCH_GAINED else None

@@ -1,4 +1,4 @@
-"""Channels that step where the bias jumps: a jump cannot be told apart from them."""
+"""Channels that step where the bias jumps: the data cannot separate a jump from them."""
 
 from collections.abc import Iterator, Sequence
 

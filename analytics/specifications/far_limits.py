@@ -5,12 +5,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from analytics.evaluation.kept_metrics import kept_metrics
 from analytics.metric_registry.magnitudes import as_judged
 from analytics.specifications.sql_tables import parameter_key
 from storage.specifications.specification import SpecificationLimit
 from storage.sql.catalog import Catalog
-from storage.store import Store
+from storage.sql.parquet_content import ParquetContent
 from stream.errors import UnknownUnit
 from stream.quantities import result_factor
 
@@ -34,14 +33,10 @@ class Kept(NamedTuple):
     serial: str
 
 
-def far_limits(store: Store, limits: Sequence[SpecificationLimit]) -> list[str]:
-    """A sentence for each limit that all kept values are far inside or far beyond; none is computed for it."""
-    with Catalog(store) as catalog:
-        kept, _ = kept_metrics(catalog.kept)
-        if kept is None:
-            return []
-        catalog.put_content("stored_values", kept)
-        return [each for limit in map(as_judged, limits) for each in doubts(limit, _values(catalog, limit))]
+def far_limits(catalog: Catalog, kept: ParquetContent, limits: Sequence[SpecificationLimit]) -> list[str]:
+    """A sentence for each limit that all kept values of metrics are far inside or far beyond."""
+    catalog.put_content("stored_values", kept)
+    return [each for limit in map(as_judged, limits) for each in doubts(limit, _values(catalog, limit))]
 
 
 def doubts(limit: SpecificationLimit, values: Sequence[Kept]) -> Iterator[str]:
