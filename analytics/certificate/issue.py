@@ -27,7 +27,7 @@ from analytics.certificate.record import (
 from analytics.certificate.reproduction import changed_results, changed_statements, check_records
 from analytics.certificate.statement.conformity import read_conformity
 from analytics.certificate.statement.content import Content, Facts, content_of
-from analytics.certificate.statement.departures import departures
+from analytics.certificate.statement.departures import departures, left_out
 from analytics.certificate.statement.evidence import read_evidence
 from analytics.certificate.statement.order import Order
 from analytics.certificate.statement.results import ordered_rows, result_rows
@@ -72,6 +72,7 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
     missing: list[str]
     deviations: list[str]  # in what the records depart from the clauses
     compensated: list[str]  # signals of results that an error model has compensated
+    left_out: list[str]  # runs since the item was received that are excluded from evaluation
     sha256: str
     digital: str  # path of the digital certificate
     valid_until: str | None
@@ -257,6 +258,7 @@ def _written(
         sha256=sha256_of(pdf),
         deviations=[each.en for each in departures(content.facts.rows)],
         compensated=sorted({each.signal for row in content.facts.rows for each in row.results if each.is_compensated}),
+        left_out=[each.en for each in left_out(content.facts.evidence.excluded, wanted.order.device.received)],
         digital=str(beside), valid_until=document.valid_until or None if document is not None else None,
     )  # fmt: skip
 

@@ -49,8 +49,9 @@ class RecorderClient:
         self._state = threading.Condition()
         self.store = ""
         found = self._ask(requests.Hello(), patience_s, others_s=_OTHERS_S)
-        stores = [reply.store for reply in found]
-        self.store = wanted if wanted in stores else stores[0]
+        forms = {reply.store: reply.form for reply in found}
+        self.store = wanted if wanted in forms else next(iter(forms))
+        self._form = forms[self.store]
 
     def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
         """The answer to a question; StoreError if the recorder cannot answer, DeliveryError if not in time."""
@@ -65,11 +66,11 @@ class RecorderClient:
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
         """The signals of these runs."""
-        return [KnownSignal(*row) for row in self.ask(requests.AskSignals(tuple(runs)))]
+        return [KnownSignal(*row) for row in self._ask_known(requests.AskSignals(tuple(runs)))]
 
     def runs(self, runs: list[str]) -> KnownRuns:
         """What is known of these runs."""
-        found = KnownRuns(*self.ask(requests.AskRuns(tuple(runs))))
+        found = KnownRuns(*self._ask_known(requests.AskRuns(tuple(runs))))
         return found._replace(steps=[KnownStep(*step) for step in found.steps])
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
@@ -82,6 +83,15 @@ class RecorderClient:
         earlier = self.samples(unit, signal, run, first_ns, (first_ns + last_ns) // 2)
         later = self.samples(unit, signal, run, (first_ns + last_ns) // 2 + 1, last_ns)
         return np.concatenate([earlier[0], later[0]]), np.concatenate([earlier[1], later[1]])
+
+    def _ask_known(self, question: requests.AskSignals | requests.AskRuns) -> Any:
+        """An answer whose fields this version reads by their place."""
+        if self._form != requests.FORM:
+            raise StoreError(
+                f"the recorder is of another version than this program: its answers about runs have form {self._form}, "
+                f"this program reads {requests.FORM}; install one version of gyrofleet at both"
+            )
+        return self.ask(question)
 
     def _ask(self, question: requests.Question, patience_s: float, others_s: float = 0.0) -> list[requests.Reply]:
         """All answers to a question within `others_s` of the first."""

@@ -100,7 +100,9 @@ class RecorderService:
             except Empty:
                 continue
             try:
-                reply = requests.Reply(request.id, self._store.identity, self._answer(request.question))
+                reply = requests.Reply(
+                    request.id, self._store.identity, self._answer(request.question), form=requests.FORM
+                )
             except GyrofleetError as error:
                 reply = requests.Reply(request.id, self._store.identity, error=str(error))
             except Exception as error:  # noqa: BLE001  the requester gets any error

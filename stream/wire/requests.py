@@ -19,6 +19,7 @@ LEASE_S = 3.0  # duration of a claim that is not renewed
 RENEW_S = 0.7
 _ID = re.compile(r"[0-9A-Za-z_-]{1,64}")
 MOST_ROWS = 1_000_000  # samples in one answer
+FORM = 2  # of answers about signals and runs: another number where their fields change
 
 
 class Hello(msgspec.Struct, frozen=True, tag=True):
@@ -81,12 +82,13 @@ class Request(msgspec.Struct, frozen=True):
 
 
 class Reply(msgspec.Struct, frozen=True):
-    """The answer of the recorder of a store, or its error."""
+    """The answer of the recorder of a store, or its error; `form` is its `FORM`, 0 of recorders before it had one."""
 
     id: str
     store: str
     answer: Any = None
     error: str = ""
+    form: int = 0
 
 
 Message = TypeVar("Message", Request, Reply)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 
 from analytics.certificate.statement.conformity import Conformity
-from analytics.certificate.statement.departures import compensation_of, departures, not_stated, states_any
+from analytics.certificate.statement.departures import compensation_of, departures, left_out, not_stated, states_any
 from analytics.certificate.statement.evidence import Evidence, Span
 from analytics.certificate.statement.order import Order, Text
 from analytics.certificate.statement.references import Reference, contradictions
@@ -317,6 +317,8 @@ def _departures(facts: Facts) -> _Filled:
     found, stated = departures(facts.rows), Words.of(facts.order.deviations)
     lines = [Line(Words("Deviations", "偏离"), stated or Words("none", "无"))]
     lines += [Line(Words("Found in the records", "记录中的偏离"), each) for each in found]
+    excluded = left_out(facts.evidence.excluded, facts.order.device.received)
+    lines += [Line(Words("Left out", "未参与评定的试验"), each) for each in excluded]
     if remarks := Words.of(facts.order.remarks):
         lines.append(Line(Words("Remarks", "备注"), remarks))
     return lines, not_stated(facts.order.deviations, found)

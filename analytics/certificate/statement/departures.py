@@ -1,7 +1,9 @@
-"""In what the records of a calibration depart from the clauses of its standard, and which outputs are compensated."""
+"""Departures from the clauses of a standard, runs that are left out, and which outputs are compensated."""
 
+import datetime as dt
 from collections.abc import Sequence
 
+from analytics.certificate.statement.evidence import ExcludedRun
 from analytics.certificate.statement.order import Text
 from analytics.certificate.statement.results import ResultRow
 from analytics.certificate.statement.words import Words
@@ -60,3 +62,24 @@ def compensation_of(rows: Sequence[ResultRow]) -> Words:
         f"Compensated by an error model: {listed}; the other results are those of the outputs as the item gives them.",
         f"经误差模型补偿的输出：{listed}；其余为被校对象的原始输出。",
     )
+
+
+def left_out(excluded: Sequence[ExcludedRun], received: dt.date | None) -> list[Words]:
+    """Runs of the item since it was received that somebody has excluded from evaluation, each with its reason.
+
+    >>> run = ExcludedRun(run="night-1", reason="door open", by="Li", time_zone="UTC", start_ns=None)
+    >>> [each.en for each in left_out([run], dt.date(2026, 3, 1))]
+    ['run night-1 is not evaluated: door open (Li)']
+    """
+    found = []
+    for each in excluded:
+        if received is not None and each.day is not None and each.day < received:
+            continue
+        en, zh = ("", "") if each.day is None else (f" of {each.day}", f"（{each.day}）")
+        found.append(
+            Words(
+                f"run {each.run}{en} is not evaluated: {each.reason} ({each.by})",
+                f"试验 {each.run}{zh}不参与评定：{each.reason}（{each.by}）",
+            )
+        )
+    return found

@@ -20,6 +20,10 @@ _DEVICE = """
 select arg_max(product, t_ns) as product, arg_max(firmware, t_ns) as firmware, arg_max(lot, t_ns) as lot
 from units where unit = $unit and list_contains($runs, run)
 """
+_EXCLUDED = """
+select x.run, x.reason, x.by_whom, coalesce(r.time_zone, 'UTC'), case when r.date_known then epoch_ns(r.started) end
+from exclusions x join runs r using (run) where x.unit = $unit order by r.started, x.run
+"""
 _AIR = """
 select min(lo), max(hi), count(distinct run) from rollup_10s
 where list_contains($runs, run) and list_contains($signals, signal) and unit_of_measure = $unit_of_measure
@@ -53,11 +57,22 @@ class CalibrationRun(msgspec.Struct, frozen=True, kw_only=True):
         """First and last day at the station; None where the date is not known."""
         if self.start_ns is None or self.end_ns is None:
             return None
-        first, last = (
-            dt.datetime.fromtimestamp(t_ns / 1e9, ZoneInfo(self.time_zone)).date()
-            for t_ns in (self.start_ns, self.end_ns)
-        )
-        return first, last
+        return _day(self.start_ns, self.time_zone), _day(self.end_ns, self.time_zone)
+
+
+class ExcludedRun(msgspec.Struct, frozen=True, kw_only=True):
+    """A run of the unit that somebody has excluded from evaluation."""
+
+    run: str
+    reason: str
+    by: str
+    time_zone: str
+    start_ns: int | None
+
+    @property
+    def day(self) -> dt.date | None:
+        """First day at the station; None where the date is not known."""
+        return None if self.start_ns is None else _day(self.start_ns, self.time_zone)
 
 
 class Recorded(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,6 +103,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     temperature: Recorded  # degC
     relative_humidity: Recorded  # %
     references: tuple[Reference, ...]
+    excluded: tuple[ExcludedRun, ...] = ()
 
     @property
     def time_zone(self) -> str:
@@ -124,7 +140,15 @@ def read_evidence(catalog: Catalog, unit: str, runs: Collection[str]) -> Evidenc
         temperature=air if air.span is not None else _recorded(catalog, _CHAMBER, given | {"unit": unit}),
         relative_humidity=_recorded(catalog, _AIR, {**given, "signals": _HUMIDITIES, "unit_of_measure": "%"}),
         references=tuple(stated_references(catalog, last_days)),
+        excluded=tuple(
+            ExcludedRun(**dict(zip(ExcludedRun.__struct_fields__, row, strict=True)))
+            for row in catalog.rows(_EXCLUDED, {"unit": unit})
+        ),
     )
+
+
+def _day(t_ns: int, time_zone: str) -> dt.date:
+    return dt.datetime.fromtimestamp(t_ns / 1e9, ZoneInfo(time_zone)).date()
 
 
 def _recorded(catalog: Catalog, sql: str, given: dict[str, object]) -> Recorded:

@@ -103,6 +103,8 @@ def _attest(store: "Store") -> None:
 
 
 def _print_issued(issued: "Issued", out: Path) -> None:
+    for each in issued.left_out:
+        notes().print(f"stated in it: {each}", soft_wrap=True)
     if issued.is_draft:
         notes().print(f"{out}: a draft, not issued; {len(issued.missing)} things are missing", soft_wrap=True)
         for each in issued.missing:

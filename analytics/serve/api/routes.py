@@ -66,7 +66,7 @@ OPERATIONS: tuple[Operation[Any, Any], ...] = (
     jobs.cancel_job,
     jobs.verify_store,
     notes.add_note,
-    exclusions.enter,
+    exclusions.enter_exclusion,
     grafana.grafana,
     grafana.grafana_metrics,
     grafana.grafana_options,

@@ -1,6 +1,7 @@
 """A draft: every clause of the standard is in the PDF, and what is missing is listed first."""
 
 import datetime as dt
+import shutil
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -179,3 +180,21 @@ def test_standards_and_surroundings_are_those_of_each_run() -> None:
 def test_a_small_negative_value_has_no_sign() -> None:
     assert rounded_to(-0.00004, 0.01) == "0.000"
     assert rounded_to(-0.04, 0.01) == "-0.040"
+
+
+def test_runs_that_are_left_out_are_named(laboratory: Path, run_command: Callable[..., Any], tmp_path: Path) -> None:
+    shutil.copytree(laboratory, tmp_path / "copy")
+    (tmp_path / "short.csv").write_text("time[s],rate[deg/s]\n" + "".join(f"{at},0.003\n" for at in range(100)))
+    at = ("--unit", UNIT, "--store", tmp_path / "copy" / "lab")
+    for run, day in (("earlier", "2026-02-01"), ("kicked", "2026-03-02")):
+        when = ("--start", f"{day}T20:00:00Z", "--procedure", "static_bias", "--position", "IRA_up")
+        assert run_command("import", "short.csv", *at, "--run", run, *when, cwd=tmp_path).code == 0
+        left_out = ("runs", "exclude", run, "--reason", "table kicked", "--by", "Li Wei", *at[2:])
+        assert run_command(*left_out, cwd=tmp_path).code == 0
+    words = ("certificate", *at, "--standard", "JJF2014", "--order", tmp_path / "copy" / "order.toml", "--draft")
+    done = run_command(*words, "--out", "draft.pdf", "--lang", "en", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    # one before the item was received is of another calibration
+    assert done.json["left_out"] == ["run kicked of 2026-03-02 is not evaluated: table kicked (Li Wei)"]
+    assert "Left out" in text_of(tmp_path / "draft.pdf")
+    assert "run kicked of 2026-03-02 is not evaluated: table kicked (Li Wei)" in text_of(tmp_path / "draft.pdf")

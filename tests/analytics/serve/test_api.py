@@ -133,6 +133,27 @@ def test_an_approver_excludes_a_run_over_http_and_a_viewer_does_not(api: httpx.C
     assert api.post("/api/exclusions", json=asked | {"run": "nix"}).status_code == 404
 
 
+def test_the_page_of_a_run_has_a_form_that_excludes_units_of_it(served: Served) -> None:
+    name = HOSTILE[1]
+    page = f"/runs/{quote(name, safe='')}"
+    with served.browser("eva") as engineer:
+        assert "/act/enter_exclusion" not in engineer.get(page).text
+    with served.browser("anna") as approver:
+        assert '<select name="units" multiple' in approver.get(page).text
+        form = {"csrf": approver.csrf, "back": page, "run": name, "units": ["", name], "reason": "kicked by hand"}
+        for action, is_excluded in (("excluded", True), ("included", False)):
+            shown = approver.post("/act/enter_exclusion", data=form | {"action": action})
+            assert shown.status_code == 200, shown.text
+            assert ("excluded from evaluation: kicked by hand (anna)" in shown.text) is is_excluded
+        asked = "select document->>'$.unit' as unit from events where kind = 'ExclusionEntered' and run = ?"
+        rows = approver.post(
+            "/api/sql", json={"sql": asked.replace("?", f"'{name}'")}, headers={"X-CSRF-Token": approver.csrf}
+        )
+        assert rows.json()["rows"] == [{"unit": name}] * 2  # the chosen unit, not the whole run
+        strange = approver.post("/act/enter_exclusion", data=form | {"action": "excluded", "units": "nobody"})
+        assert strange.status_code == 404
+
+
 def test_runs_come_in_pages_without_loss(api: httpx.Client) -> None:
     whole = [each["run"] for each in got(api, "/api/runs")["runs"]]
     assert sorted(whole) == sorted([*HOSTILE, "run-1", "run-2"])

@@ -6,7 +6,7 @@ import msgspec
 
 from analytics.serve.api.operation import Call, post
 from analytics.serve.doors.roles import Role
-from storage.recording.exclusions import enter_exclusion
+from storage.recording import exclusions
 from stream.events import ExclusionAction
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
@@ -32,9 +32,9 @@ class Excluded(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @post("/api/exclusions", role=Role.APPROVER)
-def enter(call: Call, asked: ExclusionAsked) -> Excluded:
+def enter_exclusion(call: Call, asked: ExclusionAsked) -> Excluded:
     """Exclude a run from every evaluation, or include it again; the log has who did it, when and why."""
-    done = enter_exclusion(
+    done = exclusions.enter_exclusion(
         call.store, asked.action, asked.reason, call.person.actor, role="gyrofleet serve", run=asked.run,
         units=asked.units, check=asked.check,
     )  # fmt: skip
