@@ -69,7 +69,7 @@ def check(
     for warning in warnings:
         notes().print(f"warning: {warning}", soft_wrap=True)
     if not is_seen:
-        sees = "SQL sees it with the recorder's next segment."
+        sees = "verdicts and SQL follow it in a few seconds."
         notes().print(f"The recorder that writes the store has it on disk; {sees}")
 
 

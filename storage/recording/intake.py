@@ -15,7 +15,16 @@ from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogReco
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
 from stream.errors import GyrofleetError, WireError
-from stream.events import AnyDocument, ApprovedAct, ExclusionEntered, ModelActivated, RunEnded, RunStarted, StoreNoted
+from stream.events import (
+    AnyDocument,
+    ApprovedAct,
+    CheckEntered,
+    ExclusionEntered,
+    ModelActivated,
+    RunEnded,
+    RunStarted,
+    StoreNoted,
+)
 from stream.identity import EstimateKey, EventKey, SampleKey, check_name, parse_key
 from stream.security.authority import check_authority
 from stream.security.proof import SourceVerifier, split
@@ -130,7 +139,8 @@ class Intake:
     `moved` are streams whose source waits for an acknowledgement, `received` the number after the last message received
     of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
     requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
-    `late` messages after the end of their run (resent ones, estimates); the recorder resets both. With `sources` a
+    `late` messages after the end of their run (resent ones, estimates), `exclusions` and `checks` what people entered that
+    evaluations follow; the recorder resets them. With `sources` a
     message needs a proof of its source, which is authorised for it; `owners` say whose runs a station may add to.
     """
 
@@ -145,7 +155,7 @@ class Intake:
         self.received: dict[StreamId, int] = {}
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
-        self.ended_runs = self.late = self.exclusions = 0
+        self.ended_runs = self.late = self.exclusions = self.checks = 0
         self._ended: dict[str, None] = {}
         self._authorised: dict[str, Principal] = {}  # who may send samples under a key
         self._runs: dict[str, str] = {}  # of a key's last samples
@@ -274,6 +284,7 @@ class Intake:
             self._owners.add(document.run, parsed.place.station)
         if isinstance(document, ExclusionEntered):
             self.exclusions += 1
+        self.checks += isinstance(document, CheckEntered)
         if place.is_end:
             self.ended_runs += 1
             self._ended[document.run] = None

@@ -232,9 +232,9 @@ class Recorder(Closing):
         if self._intake.exclusions:  # evaluations read the lake, and are to follow it
             self._intake.exclusions = 0
             self._seal_at = now
-        if self._intake.late:
+        if self._intake.late or self._intake.checks:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
-            self._intake.late = 0
+            self._intake.late = self._intake.checks = 0
             self._quiet_at = now + _SEAL_GRACE_S
         missing, self._intake.rewinds = self._intake.rewinds, []
         if missing:

@@ -14,7 +14,7 @@ class Role(IntEnum):
     VIEWER = 1  # read everything, ask in SQL
     OPERATOR = 2  # enter notes, command runs, verify the store
     ENGINEER = 3  # diagnose, promote and roll back error models
-    APPROVER = 4  # approve
+    APPROVER = 4  # approve, exclude runs from evaluation
 
     @property
     def word(self) -> str:

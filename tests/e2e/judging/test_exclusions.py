@@ -1,6 +1,7 @@
 """A run, one unit of it, or a check by hand is excluded from evaluation with a reason, and included again."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -169,3 +170,10 @@ def test_evaluations_follow_an_exclusion_beside_a_recorder_at_once(
     done = run_command(*words, cwd=tmp_path)
     assert done.json["in_lake"], done.err
     assert _verdicts(run_command, tmp_path) == {"U": ("PASS", "PASS")}
+    # a check by hand comes to the lake as well, once no more of them are entered
+    check = ("check", "--unit", "U", "--item", "visual", "--verdict", "FAIL", "--by", "Li", "--store", "s")
+    assert run_command(*check, cwd=tmp_path).code == 0
+    until = time.monotonic() + 20.0
+    while _verdicts(run_command, tmp_path)["U"][0] != "FAIL":
+        assert time.monotonic() < until, "the check stays in an open segment"
+        time.sleep(0.2)
