@@ -33,9 +33,10 @@ class Entry(NamedTuple):
 def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str) -> bool:
     """Write documents into a store, created if there is none, and on disk when this returns; whether SQL sees them now.
 
-    It does not if a recorder writes the store, which brings checks to the lake in some seconds, anything else with its next segment. `role` is the name
-    of the command, for the message that another writer gets. Raises StoreError if a process writes the store that takes
-    no messages, or it cannot be written; DeliveryError if the recorder that writes it does not acknowledge them.
+    It does not if a recorder writes the store, which brings checks to the lake in some seconds, anything else
+    with its next segment. `role` is the name of the command, for the message that another writer gets. Raises
+    StoreError if a process writes the store that takes no messages, or it cannot be written; DeliveryError if the
+    recorder that writes it does not acknowledge them.
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None

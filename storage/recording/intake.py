@@ -139,9 +139,9 @@ class Intake:
     `moved` are streams whose source waits for an acknowledgement, `received` the number after the last message received
     of each: no more is acknowledged, whatever the log has. `rewinds` are streams of which messages are missing, to be
     requested; `conflicts` messages whose numbers are recorded with other content. `ended_runs` counts ends of runs,
-    `late` messages after the end of their run (resent ones, estimates), `exclusions` and `checks` what people entered that
-    evaluations follow; the recorder resets them. With `sources` a
-    message needs a proof of its source, which is authorised for it; `owners` say whose runs a station may add to.
+    `late` messages after the end of their run (resent ones, estimates), `exclusions` and `checks` what people enter
+    that evaluations follow; the recorder resets them. With `sources` a message needs a proof of its source, which is
+    authorised for it; `owners` say whose runs a station may add to.
     """
 
     def __init__(
