@@ -4,8 +4,9 @@ import difflib
 import types
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from enum import Enum
 from itertools import islice
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
@@ -71,7 +72,22 @@ def mistakes(value: Any, kind: Any, at: str = "$") -> Iterator[str]:
             converted(value, kind, is_toml=True)
         except msgspec.ValidationError as error:
             text = str(error)
-            yield text.replace("`$", f"`{at}") if "`$" in text else text if at == "$" else f"{text} - at `{at}`"
+            text = text.replace("`$", f"`{at}") if "`$" in text else text if at == "$" else f"{text} - at `{at}`"
+            choices = _choices(kind) if isinstance(value, str) and text.startswith("Invalid enum value") else []
+            yield text + (near_name(value, choices) or f"; there are {', '.join(choices)}" if choices else "")
+
+
+def _choices(kind: Any) -> list[str]:
+    """The words that a value may be; empty where it may be anything else.
+
+    >>> _choices(Literal["unit", "lot"] | None), _choices(str)
+    (['unit', 'lot'], [])
+    """
+    if get_origin(kind) is Literal:
+        return [str(each) for each in get_args(kind)]
+    if get_origin(kind) in {Annotated, Union, types.UnionType}:
+        return [each for inner in get_args(kind) for each in _choices(inner)]
+    return [str(each.value) for each in kind] if isinstance(kind, type) and issubclass(kind, Enum) else []
 
 
 def _within(value: Any, kind: Any, at: str) -> Iterator[str]:

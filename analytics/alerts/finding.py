@@ -1,6 +1,6 @@
 """What a condition finds, and what it looks at."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,6 +40,13 @@ class AlertView:
     store: Store
     kept: dict[str, tuple[int, list[Finding]]]  # what a condition computed, and when (ns)
 
+    def every(self, hours: float, key: str, compute: Callable[[], list[Finding]]) -> list[Finding]:
+        """What is computed under a key every so many hours; as before where it is not due."""
+        found = self.kept.get(key)
+        if found is None or self.now_ns - found[0] >= hours * 3600e9:
+            found = self.kept[key] = (self.now_ns, compute())
+        return found[1]
+
 
 class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
     """Base class of conditions; fields of a subclass are the parameters of its rules."""
@@ -47,6 +54,9 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """What is found now."""
         raise NotImplementedError
+
+    def check(self) -> None:
+        """Raise BadInput where a parameter can match nothing, ever."""
 
     def ending(self, key: str, raised_ns: int, view: AlertView) -> Bilingual | None:
         """How something ended that is no longer found, raised at a time by the computer's clock; None if it passed."""

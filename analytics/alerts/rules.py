@@ -83,7 +83,12 @@ def condition_kinds() -> dict[str, type[Condition]]:
     """
     for module in iter_modules(analytics.alerts.conditions.__path__):
         imported(analytics.alerts.conditions.__name__, module.name)
-    return {str(kind.__struct_config__.tag): kind for kind in Condition.__subclasses__()}
+    return {str(kind.__struct_config__.tag): kind for kind in _without_subclasses(Condition)}
+
+
+def _without_subclasses(kind: type[Condition]) -> list[type[Condition]]:
+    below = kind.__subclasses__()
+    return [leaf for each in below for leaf in _without_subclasses(each)] if below else [kind]
 
 
 def load_rules(path: Path) -> Rules:
@@ -136,6 +141,10 @@ def _rule(number: int, table: dict[str, Any], targets: Sequence[str]) -> Rule:
         raise BadInput(f"rule {number}: kind is {kind!r}; there are {', '.join(sorted(kinds))}")
     own = {name: table.pop(name) for name in _OWN if name in table}
     condition = _converted(where, {"kind": kind, **table}, kinds[kind])
+    try:
+        condition.check()
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error
     rule = _converted(where, {"name": kind, "to": list(targets), **own, "condition": None}, _RuleTable)
     if unknown := set(rule.to) - set(targets):
         raise BadInput(f"{where}: to names {min(unknown)!r}; the file has the targets {', '.join(targets) or 'none'}")

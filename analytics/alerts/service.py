@@ -194,7 +194,7 @@ class AlertService(Closing):
     def _problem(self, name: str, text: str) -> bool:
         """Keep what is wrong, and report it once; whether nothing is wrong."""
         if text and self._problems.get(name) != text:
-            self._report(f"warning: {text}" if name in {"book", "rules"} else f"warning: {name}: {text}")
+            self._report(text if name in {"book", "rules"} else f"{name}: {text}")
         if text:
             self._problems[name] = text
         else:

@@ -144,6 +144,11 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     leaves more than one, the kind with the most values is used, of several one that a specification limits; the others
     are named in the result.
     """
+    return every_series(catalog, metric, choice)[0]
+
+
+def every_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> list[MetricSeries]:
+    """The values of each kind of one metric that has any, in the order of `read_series`; NotFound if there is none."""
     check_metrics([metric])
     with evaluated(catalog, [metric]):
         found = rows_of(catalog, METRIC_VALUES, {"metric": metric, "unit": ""})
@@ -153,14 +158,20 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
     kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
         raise NotFound(_nothing(metric, rows, choice, excluded))
-    variant, others, kept = _one_kind(kept, [json.loads(each["parameters"] or "{}") for each in limits])
-    valued = [row for row in kept if row["value"] is not None]
-    if not valued:
-        reasons = Counter(row["reason"] for row in kept)
-        raise NotFound(f"{metric}: no unit has a value; of {len(kept)} most say: {reasons.most_common(1)[0][0]}")
-    series = _series(metric, valued, variant, others, len(kept) - len(valued))
+    kinds = _ordered_kinds(kept, [json.loads(each["parameters"] or "{}") for each in limits])
     of_units = [row for row in excluded if row["unit"] in (choice.units or {each["unit"] for each in rows})]
-    return replace(series, excluded=tuple(f"{row['run']} ({row['unit']}: {row['reason']})" for row in of_units))
+    named = tuple(f"{row['run']} ({row['unit']}: {row['reason']})" for row in of_units)
+    every = []
+    for variant, own in kinds.items():
+        if valued := [row for row in own if row["value"] is not None]:
+            others = tuple(each for each in kinds if each != variant)
+            series = _series(metric, valued, variant, others, len(own) - len(valued))
+            every.append(replace(series, excluded=named))
+    if not every:
+        own = next(iter(kinds.values()))
+        reasons = Counter(row["reason"] for row in own)
+        raise NotFound(f"{metric}: no unit has a value; of {len(own)} most say: {reasons.most_common(1)[0][0]}")
+    return every
 
 
 def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
@@ -277,9 +288,9 @@ def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
     return kinds
 
 
-def _one_kind(
+def _ordered_kinds(
     rows: list[dict[str, Any]], limited: Sequence[Mapping[str, object]]
-) -> tuple[Variant, tuple[Variant, ...], list[dict[str, Any]]]:
+) -> dict[Variant, list[dict[str, Any]]]:
     kinds = _kinds(rows)
     asked = [{(name, parameter_text(value)) for name, value in each.items()} for each in limited]
 
@@ -288,8 +299,7 @@ def _one_kind(
         own, values = set(kind.parameters), sum(row["value"] is not None for row in kinds[kind])
         return -values, not any(each <= own for each in asked), ("room", "False") in own, kind
 
-    order = sorted(kinds, key=rank)
-    return order[0], tuple(order[1:]), kinds[order[0]]
+    return {kind: kinds[kind] for kind in sorted(kinds, key=rank)}
 
 
 def _series(

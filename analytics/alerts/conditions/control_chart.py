@@ -1,46 +1,39 @@
 """A metric over time shows a change, a drift, an outlier, or too many signals."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from typing import Annotated
 
-from analytics.alerts.finding import AlertView, Condition, Finding
+import msgspec
+
+from analytics.alerts.finding import Finding
+from analytics.alerts.metric_condition import GroupName, MetricCondition, key_of
 from analytics.loop.bilingual import Bilingual
-from stream.errors import GyrofleetError
+from analytics.trends.charts.capability import specified_limits
+from analytics.trends.report import significant
+from analytics.trends.series import MetricSeries
+from analytics.trends.trend import trend_of
+from storage.sql.catalog import Catalog
 
 
-class ControlChartCondition(Condition, frozen=True, kw_only=True, tag="control_chart"):
-    """The trend of a `metric` shows something significant; it is computed anew every `every_h` hours.
+class ControlChartCondition(MetricCondition, frozen=True, kw_only=True, tag="control_chart"):
+    """The trend of a metric shows something significant; it is computed again every `every_h` hours.
 
-    `by` is what gets a chart of its own, as in `gyrofleet trend --by`: ``unit``, ``station``, ``lot``, ``fixture``.
+    `by` is what gets a chart of its own, as in `gyrofleet trend --by`.
     """
 
-    metric: str
-    by: str | None = "unit"
-    every_h: float = 6.0
+    by: GroupName | None = "unit"
+    every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 6.0
 
-    def findings(self, view: AlertView) -> Iterator[Finding]:
-        """The trend, where it shows something; as before where it is not due."""
-        key = f"control_chart/{self.metric}/{self.by}"
-        found = view.kept.get(key)
-        if found is None or view.now_ns - found[0] >= self.every_h * 3600e9:
-            found = view.kept[key] = (view.now_ns, self._computed(view, key))
-        yield from found[1]
-
-    def _computed(self, view: AlertView, key: str) -> list[Finding]:
-        from analytics.trends.charts.capability import specified_limits
-        from analytics.trends.report import significant
-        from analytics.trends.series import Choice, read_series
-        from analytics.trends.trend import trend_of
-        from storage.sql.catalog import Catalog
-
-        try:
-            with Catalog(view.store) as catalog:
-                series = read_series(catalog, self.metric, Choice())
-                limits = specified_limits(view.store, series)
-            sentences = significant(trend_of(series, by=self.by, specification=limits))
-        except GyrofleetError:
-            return []  # no value of the metric yet
-        if not sentences:
-            return []
-        en, zh = " ".join(each.en for each in sentences), "".join(each.zh for each in sentences)
-        text = Bilingual(f"trend of {self.metric}: {en}", f"{self.metric}的趋势：{zh}")
-        return [Finding(key, self.metric, text)]
+    def of_series(self, series: Sequence[MetricSeries], catalog: Catalog) -> list[Finding]:
+        """The trend of each kind, where it shows something."""
+        found = []
+        for each in series:
+            specification = specified_limits(catalog.store, each)
+            sentences = significant(trend_of(each, by=self.by, specification=specification))
+            if sentences:
+                en, zh = " ".join(one.en for one in sentences), "".join(one.zh for one in sentences)
+                text = Bilingual(
+                    f"trend of {each.metric} ({each.variant}): {en}", f"{each.metric}（{each.variant}）的趋势：{zh}"
+                )
+                found.append(Finding(key_of("control_chart", each, str(self.by)), each.metric, text))
+        return found

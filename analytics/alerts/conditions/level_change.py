@@ -1,53 +1,42 @@
 """The level of a metric has changed, watched at every new value."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from typing import Annotated
 
-from analytics.alerts.finding import AlertView, Condition, Finding
+import msgspec
+
+from analytics.alerts.finding import Finding
+from analytics.alerts.metric_condition import GroupName, MetricCondition, key_of
 from analytics.loop.bilingual import Bilingual
-from stream.errors import GyrofleetError
+from analytics.trends.chart_sentences import moment
+from analytics.trends.levels.level_watch import LevelWatch, level_watch
+from analytics.trends.series import MetricSeries
+from storage.sql.catalog import Catalog
 
 
-class LevelChangeCondition(Condition, frozen=True, kw_only=True, tag="level_change"):
-    """The level of a `metric` changes; new values are looked at every `every_h` hours, as often as one likes.
+class LevelChangeCondition(MetricCondition, frozen=True, kw_only=True, tag="level_change"):
+    """The level of a metric changes; new values are looked at every `every_h` hours, as often as one likes.
 
-    `by` is what is watched alone: ``unit``, ``station``, ``lot``, ``fixture``. Where nothing changes, even in a wander
-    from value to value, any of them ever alarms with the probability `false_alarm` at most.
+    `by` is what is watched alone. Where nothing changes, even in a wander from value to value, any of them ever alarms
+    with the probability `false_alarm` at most.
     """
 
-    metric: str
-    by: str = "unit"
-    every_h: float = 1.0
-    false_alarm: float = 0.01
+    by: GroupName = "unit"
+    false_alarm: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.01
 
-    def findings(self, view: AlertView) -> Iterator[Finding]:
-        """Levels that have changed; as before where the values are not due."""
-        key = f"level_change/{self.metric}/{self.by}"
-        found = view.kept.get(key)
-        if found is None or view.now_ns - found[0] >= self.every_h * 3600e9:
-            found = view.kept[key] = (view.now_ns, self._computed(view, key))
-        yield from found[1]
-
-    def _computed(self, view: AlertView, key: str) -> list[Finding]:
-        from analytics.trends.chart_sentences import moment
-        from analytics.trends.levels.level_watch import LevelWatch, level_watch
-        from analytics.trends.series import Choice, read_series
-        from storage.sql.catalog import Catalog
-
-        try:
-            with Catalog(view.store) as catalog:
-                series = read_series(catalog, self.metric, Choice())
-        except GyrofleetError:
-            return []  # no value of the metric yet
-        places = series.places(self.by)
+    def of_series(self, series: Sequence[MetricSeries], catalog: Catalog) -> list[Finding]:
+        """Levels that have changed."""
+        del catalog
+        watched = [(each, name, each.where(at)) for each in series for name, at in each.places(self.by).items()]
         changed = []
-        for name, at in places.items():
-            part = series.where(at)
+        for each, name, part in watched:
             watch = level_watch(part.value)
-            if isinstance(watch, LevelWatch) and watch.alarms(self.false_alarm / len(places)):
+            if isinstance(watch, LevelWatch) and watch.alarms(self.false_alarm / len(watched)):
                 when, odds = moment(part, watch.at), f"{watch.evidence:.2g}"
+                level = f"{each.metric} ({each.variant})"
                 text = Bilingual(
-                    f"the level of {self.metric} of {name} changes at {when}: {odds} times more probable than a wander",
-                    f"{name} 的 {self.metric} 水平自 {when} 起变化：其概率为缓慢游走的 {odds} 倍",
+                    f"the level of {level} of {name} changes at {when}: {odds} times more probable than a wander",
+                    f"{name} 的 {each.metric}（{each.variant}）水平自 {when} 起变化：其概率为缓慢游走的 {odds} 倍",
                 )
-                changed.append(Finding(f"{key}/{name}", name, text))
+                changed.append(Finding(key_of("level_change", each, name), name, text))
         return changed

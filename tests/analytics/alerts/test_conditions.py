@@ -24,6 +24,10 @@ LIMIT = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=
         ('kind = "verdict"\nverdicts = ["FALL"]', "FALL"), ('kind = "early_decision"\noutcomes = ["fail"]', "fail"),
         ('kind = "unit_silent"\nsilent_s = -5', "silent_s"), ('kind = "role"\nroles = ["recorder"]', "recorder"),
         ('kind = "role"\nconditions = ["dead"]', "dead"), ('kind = "disk"\nfree_percent = 120', "free_percent"),
+        ('kind = "level_change"\nmetric = "bais"', "did you mean bias"),
+        ('kind = "control_chart"\nmetric = "bias"\nby = "unti"', "did you mean unit"),
+        ('kind = "level_change"\nmetric = "bias"\nfalse_alarm = 0.0', "false_alarm"),
+        ('kind = "unit_verdict"\nverdicts = ["FALL"]', "did you mean FAIL"),
         ('kind = "off_set_point"\nwithin_deg_c = 0', "within_deg_c"), ('kind = "disk"\nafter_s = -1', "after_s"),
     ],
 )  # fmt: skip
