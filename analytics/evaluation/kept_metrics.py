@@ -91,7 +91,7 @@ def _update(
         return
     if catalog.frozen:
         raise NotKept
-    outdated = frozenset(unit for unit, names in known.items() if not names)
+    current = frozenset(unit for unit, names in known.items() if names)
     for unit in stale:
         known[unit] = known.get(unit, frozenset()) | needed
     marks = {
@@ -99,7 +99,7 @@ def _update(
         for unit, mark in prints.items()
     }
     computed = computation.values(catalog, sorted(stale), needed) if computation is not None and stale else None
-    update = Update(kept, stale, needed, outdated)
+    update = Update(kept, stale, needed, current)
     content = _content(catalog, updated(catalog, steps, ranges_of(catalog, prints), update, computed), marks)
     catalog.put_content("unit_metrics", content)
     write_kept_content(catalog.kept / FOLDER / FILE, content.content)

@@ -26,7 +26,8 @@ order by unit, metric, signal nulls first, run nulls first, parameters nulls fir
 _KEPT = """
 select * from internal.kept_metrics where unit between $first and $last
   and not (unit in (select unnest($stale)) and metric in (select unnest($replaced)))
-  and unit not in (select unnest($outdated))
+  -- a unit of which nothing is left, as one whose only run is excluded, may stand between the others
+  and unit in (select unnest($current))
 """
 
 
@@ -36,7 +37,7 @@ class Update(NamedTuple):
     kept: ParquetContent | None
     stale: Collection[str]  # units whose needed metrics are computed
     needed: Collection[str]
-    outdated: Collection[str]  # units of which no kept value counts
+    current: Collection[str]  # units of which kept values count
 
 
 def ranges_of(catalog: Catalog, units: Iterable[str]) -> list[list[str]]:
@@ -96,9 +97,9 @@ def updated(
 def _kept_rows(catalog: Catalog, units: list[str], stale: list[str], update: Update) -> pa.Table:
     if update.kept is None:
         return COLUMNS.empty_table()
-    outdated = [unit for unit in units if unit in update.outdated]
+    current = [unit for unit in units if unit in update.current]
     given = {"first": units[0], "last": units[-1], "stale": stale, "replaced": sorted(update.needed)}
-    return catalog.reader(_KEPT, given | {"outdated": outdated}).read_all().cast(COLUMNS)
+    return catalog.reader(_KEPT, given | {"current": current}).read_all().cast(COLUMNS)
 
 
 def in_order(catalog: Catalog, rows: pa.Table) -> pa.Table:

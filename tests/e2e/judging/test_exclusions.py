@@ -177,3 +177,15 @@ def test_evaluations_follow_an_exclusion_beside_a_recorder_at_once(
     while _verdicts(run_command, tmp_path)["U"][0] != "FAIL":
         assert time.monotonic() < until, "the check stays in an open segment"
         time.sleep(0.2)
+
+
+def test_a_unit_whose_only_run_is_excluded_leaves_what_is_kept(run_command: Run, tmp_path: Path) -> None:
+    """Its serial number is between two others, whose values are kept."""
+    _store(run_command, tmp_path, {("U1", "r1"): 2.0, ("U2", "r2"): 40.0, ("U3", "r3"): 3.0})
+    assert _verdicts(run_command, tmp_path)["U2"] == ("FAIL", "FAIL")
+    assert run_command("runs", "exclude", "r2", "--reason", "x", "--store", "s", cwd=tmp_path).code == 0
+    assert _verdicts(run_command, tmp_path) == {"U1": ("PASS", "PASS"), "U3": ("PASS", "PASS")}
+    asked = ("sql", "select distinct unit from unit_metrics order by unit", "--store", "s", "--json")
+    assert run_command(*asked, cwd=tmp_path).json == [{"unit": "U1"}, {"unit": "U3"}]
+    trend = run_command("trend", "bias", "--store", "s", "--json", cwd=tmp_path).json
+    assert trend["values"] == 2
