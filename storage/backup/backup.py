@@ -55,6 +55,7 @@ class Written(NamedTuple):
     added_segments: int
     added_bytes: int
     rewritten: tuple[str, ...]  # segments that were damaged in the backup
+    damaged: tuple[str, ...] = ()  # segments that are damaged in the store, and whole in the backup
 
 
 def read_backup(folder: Path) -> Backup:
@@ -89,8 +90,8 @@ def back_up(
 ) -> Written:
     """Bring a backup up to date while the store may be written; StoreError if the folder is of another store.
 
-    With `is_checked` every segment that is in the backup already is read, and copied again if it is damaged. What was
-    acknowledged before the call is in the backup.
+    With `is_checked` every segment that is in the backup already is read, there and in the store, and copied again if
+    the backup's is damaged. What was acknowledged before the call is in the backup.
     """
     for link in (folder, *folder.parents):
         if not link.is_symlink() or link.exists():
@@ -133,6 +134,7 @@ class _Writer:
         self._before = self._known()
         self._added = self._added_bytes = 0
         self._rewritten: list[str] = []
+        self._damaged: list[str] = []
 
     def _known(self) -> Backup | None:
         if not (self._folder / BACKUP).exists():
@@ -155,7 +157,7 @@ class _Writer:
             if found.damage:
                 raise StoreError(
                     f"{manifest_path(self._store)} is damaged in line {found.damage[0].line}: `gyrofleet recover` "
-                    "first; the backup is as it was"
+                    f"first; {self._state}"
                 )
             try:
                 backup = self._copied(found)
@@ -163,8 +165,12 @@ class _Writer:
                 continue
             write_durably(self._folder / BACKUP, msgspec.json.encode(backup))
             self._remove_old(backup)
-            return Written(backup, self._added, self._added_bytes, tuple(self._rewritten))
+            return Written(backup, self._added, self._added_bytes, tuple(self._rewritten), tuple(self._damaged))
         raise StoreError(f"segments of {self._store.log} are sealed faster than they are copied; try again")
+
+    @property
+    def _state(self) -> str:
+        return f"{self._folder} is no backup yet" if self._before is None else "the backup is as it was"
 
     def _copied(self, found: LogManifest) -> Backup:
         entries = sorted(found.entries.values(), key=lambda entry: entry.segment)
@@ -220,12 +226,10 @@ class _Writer:
         if target.exists():
             known = {each.segment: each.sha256 for each in self._before.segments} if self._before else {}
             is_listed = known.get(entry.segment) == entry.sha256 and target.stat().st_size == entry.size
-            if is_listed if not self._is_checked else copy.is_intact(self._folder):
+            if (is_listed and not self._is_checked) or copy.is_intact(self._folder):
+                self._look_at_source(entry)
                 return
-            if not copy.is_intact(self._folder):
-                self._rewritten.append(entry.segment)
-            else:
-                return
+            self._rewritten.append(entry.segment)
         source = CopiedFile(entry.segment, entry.size, entry.sha256)
         if target.exists() and not source.is_intact(self._store.log):
             raise self._unsealed(entry, sha256_of(self._store.log / entry.segment))
@@ -236,10 +240,20 @@ class _Writer:
         self._added += 1
         self._added_bytes += entry.size
 
+    def _look_at_source(self, entry: SegmentEntry) -> None:
+        """Note a segment that is whole in the backup and damaged in the store, without a check by its length."""
+        path = self._store.log / entry.segment
+        if self._is_checked:
+            is_well = CopiedFile(entry.segment, entry.size, entry.sha256).is_intact(self._store.log)
+        else:
+            is_well = path.exists() and path.stat().st_size == entry.size
+        if not is_well:
+            self._damaged.append(entry.segment)
+
     def _unsealed(self, entry: SegmentEntry, sha256: str) -> StoreError:
         return StoreError(
             f"{self._store.log / entry.segment} is not as it was sealed (SHA-256 {sha256[:12]}, listed "
-            f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; the backup is as it was"
+            f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; {self._state}"
         )
 
     def _files(self) -> list[CopiedFile]:

@@ -13,7 +13,7 @@ _folder = click.Path(path_type=Path, file_okay=False)
 @click.command("backup")
 @click.argument("destination", type=_folder)
 @store_option
-@click.option("--check", is_flag=True, help="Read what is in the backup already, and copy again what is damaged.")
+@click.option("--check", is_flag=True, help="Read what is in the backup already, there and in the store.")
 @reporting
 def backup(destination: Path, folder: Path, *, check: bool, as_json: bool) -> None:
     """Back up a store into the folder DESTINATION, also while it is written.
@@ -21,6 +21,9 @@ def backup(destination: Path, folder: Path, *, check: bool, as_json: bool) -> No
     It holds the log, whose segments are verified as they are copied, the segment that is open, specifications, error
     models, certificates, keys and alerts. The same folder again gets only what is new. The lake is not in it:
     `gyrofleet restore` builds it from the log. A segment that the store has lost stays in the backup.
+
+    With --check a segment that is damaged in the backup is copied again. One that is damaged in the store stays whole
+    in the backup, is named, and the exit code is 1; without --check one is noticed by its length alone.
     """
     from storage.backup.backup import back_up
     from storage.store import Store
@@ -39,12 +42,15 @@ def backup(destination: Path, folder: Path, *, check: bool, as_json: bool) -> No
                 "segments": len(found.segments), "samples": found.samples, "added_segments": done.added_segments,
                 "added_bytes": done.added_bytes, "open_bytes": sum(each.size for each in found.open),
                 "files": len(found.files), "rewritten": done.rewritten,
-                "lost": [entry.segment for entry in found.lost],
+                "lost": [entry.segment for entry in found.lost], "damaged": done.damaged,
             }
         )  # fmt: skip
-        return
+        sys.exit(1 if done.damaged else 0)
     for name in done.rewritten:
         notes().print(f"{destination / 'log' / name} was damaged in the backup and is copied again", soft_wrap=True)
+    for name in done.damaged:
+        remedy = f"`gyrofleet verify --store {folder}` says what is wrong, `gyrofleet restore` brings it back"
+        notes().print(f"{folder / 'log' / name} is damaged; it is whole in the backup: {remedy}", soft_wrap=True)
     for entry in found.lost:
         notes().print(f"{folder} has lost segment {entry.segment}; it is in the backup", soft_wrap=True)
     results().print(
@@ -52,6 +58,7 @@ def backup(destination: Path, folder: Path, *, check: bool, as_json: bool) -> No
         f"{len(found.segments):,} with {found.samples:,} samples in all; the open segment has "
         f"{sum(each.size for each in found.open) / 1e6:,.1f} MB, {counted(len(found.files), 'other file')}"
     )
+    sys.exit(1 if done.damaged else 0)
 
 
 @click.command("restore")

@@ -20,7 +20,7 @@ with tested as (
 ), excluded as (
   select run, {unit: unit, reason: reason, "by": by_whom} as unit from exclusions
 )
-select r.run, r.started, r.duration_s, r.outcome,
+select r.run, r.started::timestamp as started, r.duration_s, r.outcome,
   (select count(*) from tested t where t.run = r.run) as units,
   (select coalesce(list(x.unit order by x.unit), []) from excluded x where x.run = r.run) as excluded
 from runs r order by r.started, r.run

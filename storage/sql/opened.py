@@ -48,8 +48,17 @@ class Answer:
             ) from error
 
     def rows(self) -> list[dict[str, object]]:
-        """As a list of dictionaries."""
-        return list(self._table.to_pylist())
+        """As a list of dictionaries; times are datetimes, to the microsecond (`t_ns` has nanoseconds)."""
+        columns = [_to_microseconds(each) for each in self._table.columns]
+        return list(pa.table(columns, names=self._table.column_names).to_pylist())
+
+
+def _to_microseconds(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """A column of times in nanoseconds, for which datetimes have no place, in microseconds; another one as it is."""
+    kind = column.type
+    if not pa.types.is_timestamp(kind) or kind.unit != "ns":
+        return column
+    return column.cast(pa.timestamp("us", kind.tz), safe=False)
 
 
 def _durations(name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:

@@ -53,6 +53,12 @@ def test_what_there_is(store: gf.FleetStore) -> None:
     assert store.sql("select count(*) as n from samples where unit = $unit", {"unit": "G-1"}).rows() == [{"n": 7400}]
 
 
+def test_times_of_nanoseconds_are_datetimes_in_rows(store: gf.FleetStore) -> None:
+    """Without pandas, which pyarrow would take for them."""
+    found = store.sql("select make_timestamp_ns(1796000000123456789) as at, null::timestamp_ns as none").rows()
+    assert found == [{"at": datetime(2026, 11, 30, 0, 53, 20, 123456), "none": None}]
+
+
 def test_samples_between_two_moments(store: gf.FleetStore) -> None:
     assert store.samples("G-1", "rate").height == 3700
     found = store.samples("G-1", "rate", start="2026-11-01T00:00:10+08:00", stop="2026-11-01T00:00:20+08:00")

@@ -179,6 +179,13 @@ def test_evaluations_follow_an_exclusion_beside_a_recorder_at_once(
         time.sleep(0.2)
 
 
+def test_runs_that_begin_within_a_microsecond_are_listed(run_command: Run, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time[s],rate[deg/s]\n1796000000.123456789,0.01\n1796000001.123456789,0.02\n")
+    assert run_command("import", "x.csv", "--unit", "U", "--store", "s", cwd=tmp_path).code == 0
+    listed = run_command("runs", "list", "--store", "s", cwd=tmp_path)
+    assert (listed.code, "2026-11-30 00:53:20Z" in listed.out) == (0, True), listed.err
+
+
 def test_a_unit_whose_only_run_is_excluded_leaves_what_is_kept(run_command: Run, tmp_path: Path) -> None:
     """Its serial number is between two others, whose values are kept."""
     _store(run_command, tmp_path, {("U1", "r1"): 2.0, ("U2", "r2"): 40.0, ("U3", "r3"): 3.0})

@@ -168,6 +168,28 @@ def test_a_damaged_store_leaves_the_backup_as_it_was(store: Store, tmp_path: Pat
     assert verify(Store.open(tmp_path / "R"))[0].is_sound
 
 
+def test_damage_in_the_store_after_a_backup_is_named(
+    store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    before = back_up(store, tmp_path / "B").backup
+    flipped, cut = store.log / "00000001.mcap", store.log / "00000002.mcap"
+    content = bytearray(flipped.read_bytes())
+    content[len(content) // 2] ^= 1
+    flipped.write_bytes(content)
+    cut.write_bytes(cut.read_bytes()[:-1])
+    # without a check what was copied before is not read again
+    done = gyrofleet("backup", "B", "--store", "S", "--json")
+    assert (done.code, done.json["damaged"]) == (1, ["00000002.mcap"])
+    checked = gyrofleet("backup", "B", "--check", "--store", "S")
+    assert checked.code == 1
+    assert "00000001.mcap is damaged; it is whole in the backup" in checked.err
+    assert read_backup(tmp_path / "B").segments == before.segments
+    assert restore(tmp_path / "B", tmp_path / "R")
+    assert verify(Store.open(tmp_path / "R"))[0].is_sound
+    into_new = gyrofleet("backup", "N", "--store", "S")
+    assert (into_new.code, "N is no backup yet" in into_new.err) == (1, True)
+
+
 @pytest.mark.long
 def test_what_the_store_has_lost_stays_in_the_backup(
     store: Store, tmp_path: Path, gyrofleet: Callable[..., Any]
