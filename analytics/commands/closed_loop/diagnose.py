@@ -73,7 +73,8 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     "--write-procedure",
     "procedure_path",
     type=click.Path(path_type=Path),
-    help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml.",
+    help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml; without one the exit code "
+    "is 1.",
 )
 @click.option(
     "--recover",
@@ -152,8 +153,7 @@ def diagnose(
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
-    if procedure_path is not None:
-        _write_procedure(next(iter(found.units.values())).next_test, procedure_path)
+    is_written = procedure_path is None or _write_procedure(next(iter(found.units.values())).next_test, procedure_path)
     if as_json:
         document = next(iter(found.units.values())).document() if is_one else found.document()
         print_json(document | _reports(found, embeds=embeds) | ({"saved": saved, "not_saved": unsaved} if save else {}))
@@ -168,7 +168,7 @@ def diagnose(
         notes().print(f"warning: unit {unit}: {why}", soft_wrap=True)
     for unit, why in unsaved.items():
         notes().print(f"error: the model of unit {unit} is not saved: {why}", soft_wrap=True)
-    if found.failed or unsaved:
+    if found.failed or unsaved or not is_written:
         sys.exit(1)
 
 
@@ -232,14 +232,15 @@ def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, o
     return saved, unsaved
 
 
-def _write_procedure(found: "NextTest | None", path: Path) -> None:
+def _write_procedure(found: "NextTest | None", path: Path) -> bool:
+    """Write the procedure of the first plan that is no repetition; whether there is one."""
     import msgspec
 
     plan = None if found is None else next((each for each in found.plans if not each.test.like), None)
     if plan is None:
         why = "nothing is open" if found is None else found.why_not or "the plans repeat runs that were done"
         notes().print(f"no procedure is written: {why}", soft_wrap=True)
-        return
+        return False
     try:
         write_durably(path, msgspec.toml.encode(plan.test.document))
     except OSError as error:
@@ -250,6 +251,7 @@ def _write_procedure(found: "NextTest | None", path: Path) -> None:
         "of those with a weight of 5 % or more",
         soft_wrap=True,
     )
+    return True
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:
