@@ -42,7 +42,9 @@ def _has(*keys: str) -> Callable[[Mapping[str, Any]], bool]:
 
 
 def _station(path: Path) -> str:
+    from ingest.can.mapping import CanMapping
     from ingest.run.station_security import station_security
+    from ingest.serial.frame_layout import load_layout
     from ingest.station.serial_devices import SerialDevices
     from ingest.station.station import load_station
 
@@ -54,6 +56,12 @@ def _station(path: Path) -> str:
         found.make_instruments(found.make_clock())
     with collected(wrong):
         station_security(path)
+    for bus in found.buses.values():
+        with collected(wrong):
+            CanMapping([found.beside(each) for each in bus.dbc], found.beside(bus.mapping)).plan()
+    for line in found.lines.values():
+        with collected(wrong):
+            load_layout(found.beside(line.layout))
     if wrong:
         raise BadInput(listed(wrong))
     return f"{counted(len(found.instruments), 'instrument')}, {counted(len(found.slots), 'slot')}"
@@ -130,6 +138,7 @@ def _login(path: Path) -> str:
     from analytics.serve.doors.login_file import LoginFile
 
     found = LoginFile.read(path)
+    found.check_secrets()
     return ", ".join(name for name in ("oidc", "proxy") if getattr(found, name) is not None)
 
 

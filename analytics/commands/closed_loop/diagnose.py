@@ -73,8 +73,8 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     "--write-procedure",
     "procedure_path",
     type=click.Path(path_type=Path),
-    help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml; without one the exit code "
-    "is 1.",
+    help="Write the first plan of the next test as a procedure for `gyrofleet run`: FILE.toml; without a plan the exit "
+    "code is 1.",
 )
 @click.option(
     "--recover",

@@ -4,11 +4,11 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from stream.errors import GyrofleetError, NotFound
+from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.roles.config_file import configured
 from stream.roles.role_log import RoleLog, logged
 from stream.security.actor import acting
@@ -26,6 +26,9 @@ from stream.terminal.console import (
 from stream.terminal.option_checks import WRONG_USE, about, check_listen, options_checked
 from stream.terminal.result_table import ResultTable
 from stream.terminal.security_options import secured
+
+if TYPE_CHECKING:
+    from analytics.alerts.targets import Target
 
 _EVERY_S = 1.0
 _LONGEST_TEST_S = 60.0
@@ -173,11 +176,27 @@ def check(rules_path: Path, *, is_sent: bool, as_json: bool) -> None:
                 target.send([message], "", patience)
         except GyrofleetError as error:
             failures[name] = str(error)
+    lacking = {} if is_sent else _lacking(rules.targets)
     if as_json:
         names = [rule.name for rule in rules.rules]
-        print_json({"rules": names, "targets": sorted(rules.targets), "failures": failures})
+        document = {"rules": names, "targets": sorted(rules.targets), "failures": failures, "lacking": lacking}
+        print_json(document)
     else:
         results().print(f"{len(rules.rules)} rules, {len(rules.targets)} targets: {rules_path} can be used")
         for name, why in failures.items():
             notes().print(f"target {name}: {why}", soft_wrap=True, markup=False)
+        for name, why in lacking.items():
+            text = f"warning: target {name}: {why}; `gyrofleet alert run` needs it"
+            notes().print(text, soft_wrap=True, markup=False)
     sys.exit(1 if failures else 0)
+
+
+def _lacking(targets: "Mapping[str, Target]") -> dict[str, str]:
+    """What the environment here lacks for each target; that of a service may have it."""
+    found = {}
+    for name, target in targets.items():
+        try:
+            target.check()
+        except BadInput as error:
+            found[name] = str(error)
+    return found

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _QUESTIONS = (
     "select unit, document->>'$.verdict' as verdict from events where kind = 'VerdictGiven' order by unit",
-    "select unit, run, avg(value) * 3600 as mean_deg_per_h from samples where signal = 'rate' group by all order by all",
+    "select unit, run, avg(value) * 3600 as deg_per_h from samples where signal = 'rate' group by 1, 2 order by 1, 2",
 )
 
 

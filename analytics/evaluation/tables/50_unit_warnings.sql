@@ -93,8 +93,11 @@ select unit, [],
 from within_runs
 union all
 select l.unit, [],
-  'its last run, ' || l.run || ', has no completed step: nothing above is of it; import it again with --procedure and --position',
-  '最近一次试验 ' || l.run || ' 没有已完成的步骤：以上结果均不含该次试验，请以 --procedure 和 --position 重新导入'
+  'its last run, ' || l.run || ', has no completed step: nothing above is of it; ' || if(runs.outcome = 'completed',
+    'import it again with --procedure and --position',
+    'it ended as ' || runs.outcome || ': measure again, or exclude it (`gyrofleet runs exclude`)'),
+  '最近一次试验 ' || l.run || ' 没有已完成的步骤：以上结果均不含该次试验，' || if(runs.outcome = 'completed',
+    '请以 --procedure 和 --position 重新导入', '该试验未正常完成，请重新试验或排除（`gyrofleet runs exclude`）')
 from (
   select c.unit, arg_max(c.run, c.arrival_first_ns) as run
   from internal.lake_channels c left join internal.rate_units r using (unit_of_measure)

@@ -201,6 +201,8 @@ def test_all_mistakes_of_a_file_are_named(name: str, content: str, expected: tup
 
 
 def test_two_users_of_a_serial_device_are_named(tmp_path: Path) -> None:
+    fields = '[[fields]]\nsignal = "r"\nat = 3\ntype = "i24"\nunit = "V"\n'
+    (tmp_path / "x.toml").write_text('sync = "55 AA"\ninterval_s = 0.1\nlength = 7\n' + fields)
     (tmp_path / "tty").touch()
     (tmp_path / "by-id").symlink_to(tmp_path / "tty")
     station = '[station]\nsite = "a"\nname = "{name}"\n'
@@ -349,3 +351,18 @@ def test_a_role_that_may_is_well(tmp_path: Path) -> None:
     )
     code, (right,) = check(path)
     assert (code, right["problem"], right["text"]) == (0, "", "record, router, replicate")
+
+
+def test_files_that_a_station_names_are_looked_for(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    (tmp_path / "station.toml").write_text(
+        """[station]
+        site = "p"
+        name = "b"
+        [buses.gyros]
+        bus = "socketcan:can0"
+        dbc = ["gyros.dbc"]
+        mapping = "gyros.toml"
+        """
+    )
+    done = gyrofleet("config", "check", "station.toml")
+    assert (done.code, "gyros.dbc" in done.err or "gyros.toml" in done.err) == (1, True), done.err
