@@ -359,7 +359,7 @@ def test_files_that_a_station_names_are_looked_for(tmp_path: Path, gyrofleet: Ca
         site = "p"
         name = "b"
         [buses.gyros]
-        bus = "socketcan:can0"
+        bus = { interface = "socketcan", channel = "can0" }
         dbc = ["gyros.dbc"]
         mapping = "gyros.toml"
         """
