@@ -8,6 +8,7 @@ import binascii
 import datetime as dt
 import http.client
 import urllib.request
+import warnings
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -84,7 +85,8 @@ def read_roots(path: Path) -> list["Certificate"]:
     from cryptography.x509 import load_pem_x509_certificates
 
     try:
-        return load_pem_x509_certificates(path.read_bytes())
+        with warnings.catch_warnings(action="ignore"):  # of others' old roots in a bundle of the system
+            return load_pem_x509_certificates(path.read_bytes())
     except OSError as error:
         raise BadInput(f"--timestamp-root {path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:

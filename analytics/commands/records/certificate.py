@@ -106,7 +106,7 @@ def _print_issued(issued: "Issued", out: Path) -> None:
     for each in issued.left_out:
         notes().print(f"stated in it: {each}", soft_wrap=True)
     if issued.is_draft:
-        notes().print(f"{out}: a draft, not issued; {len(issued.missing)} things are missing", soft_wrap=True)
+        notes().print(f"{out}: a draft, not issued; missing: {len(issued.missing)}", soft_wrap=True)
         for each in issued.missing:
             notes().print(f"  {each}", soft_wrap=True)
         return
