@@ -3,6 +3,7 @@
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -168,7 +169,7 @@ def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str
 def standard_named(text: str) -> str:
     """Name of a standard in the metrics, from the ways people write it.
 
-    Raises BadInput if no metric is of that standard.
+    Raises BadInput if no metric is of that standard, or of its year.
 
     >>> standard_named("GJB 2426A-2004")
     'GJB2426A'
@@ -177,7 +178,25 @@ def standard_named(text: str) -> str:
     name = _YEAR.sub("", text.strip()).replace(" ", "").upper()
     if name not in known:
         raise BadInput(f"no metric is of the standard {text!r}; there are {', '.join(known)}")
+    year = _YEAR.search(text.strip())
+    if year is not None and with_year(name) != f"{name}-{year[0][1:]}":
+        raise BadInput(f"the metrics are of {with_year(name)}, not of {text.strip()}; leave out the year")
     return name
+
+
+def with_year(standards: str) -> str:
+    """Names of standards with the year of the edition whose clauses the metrics follow.
+
+    >>> with_year("GJB2426A, JJF2014"), with_year("informative")
+    ('GJB2426A-2004, JJF2014-2022', 'informative')
+    """
+    years = _years()
+    return ", ".join(f"{each}-{years[each]}" if years.get(each) else each for each in standards.split(", "))
+
+
+@cache
+def _years() -> dict[str, str]:
+    return {each.standard: each.year for metric in metrics().values() for each in metric.header.sources}
 
 
 def narrowed(row: Row, standards: Sequence[str]) -> Row | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from analytics.evaluation.reasons import in_chinese
-from analytics.evaluation.selection import Row, clauses_of
+from analytics.evaluation.selection import Row, clauses_of, with_year
 from analytics.metric_registry.registry import metrics
 from storage.specifications.specification import format_parameter
 from stream.errors import BadInput
@@ -126,7 +126,7 @@ def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
                 format_parameters(row["parameters"], language),
-                "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items()),
+                "; ".join(f"{with_year(standard)} {clause}" for standard, clause in clauses_of(row).items()),
             )
     return table
 
@@ -157,7 +157,7 @@ def write_csv(rows: Sequence[Row], path: Path, language: str) -> None:
             titles = ["name", *columns]  # for programs; those of another language are for people
             writer.writerow(titles if language == "en" else _titles(titles, language))
             for row in rows:
-                cells = _plain(row, columns, language)
+                cells = _plain(row, columns, language, is_for_people=language != "en")
                 writer.writerow(csv_text(each) if isinstance(each, str) else each for each in cells)
     except OSError as error:
         raise _unwritable(path, "--csv", error) from error
@@ -181,7 +181,7 @@ def write_xlsx(rows: Sequence[Row], path: Path, language: str) -> None:
             sheet.write_row(0, 0, titles, bold)
             at = 0
             for at, row in enumerate(rows, 1):
-                sheet.write_row(at, 0, _plain(row, columns, language))
+                sheet.write_row(at, 0, _plain(row, columns, language, is_for_people=True))
             sheet.autofilter(0, 0, at, len(titles) - 1)
             sheet.freeze_panes(1, 1)
             sheet.autofit()
@@ -193,7 +193,7 @@ def _columns_of(rows: Sequence[Row]) -> tuple[str, ...]:
     return ("plant", *COLUMNS) if rows and "plant" in rows[0] else COLUMNS
 
 
-def _plain(row: Row, columns: Iterable[str], language: str) -> list[object]:
+def _plain(row: Row, columns: Iterable[str], language: str, *, is_for_people: bool) -> list[object]:
     cells: list[object] = [name_of(row["metric"], language)]
     for column in columns:
         value = row[column]
@@ -201,6 +201,8 @@ def _plain(row: Row, columns: Iterable[str], language: str) -> list[object]:
             value = json.dumps(in_language(value, language), ensure_ascii=False)
         elif column in _REASONS and value is not None and language == "zh":
             value = in_chinese(value)
+        elif column == "standard" and is_for_people:
+            value = with_year(value)
         elif isinstance(value, list):
             value = ", ".join(str(each) for each in value)
         cells.append(value)

@@ -15,7 +15,7 @@ from stream.files.own_files import files_of, is_own
 
 _PACKAGE = "analytics.metrics"
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
-_SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{4})?\s+(?P<clause>.+?)\s*")
+_SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-(?P<year>[0-9]{4}))?\s+(?P<clause>.+?)\s*")
 
 # which values are the better: `nearer_zero` are those with a sign whose magnitude counts
 BETTER = ("lower", "higher", "nearer_zero", "neither")
@@ -38,6 +38,7 @@ class Clause(NamedTuple):
 
     standard: str
     clause: str
+    year: str = ""  # of the edition, where the standard has one
 
 
 class Influence(NamedTuple):
@@ -87,8 +88,8 @@ def parse_header(text: str, where: str) -> MetricHeader:
     """Read the comment lines ``-- key: value`` at the head of a metric; `parameters` may take several lines.
 
     >>> header = parse_header(metrics()["bias"].sql, "bias.sql")
-    >>> header.standard, header.sources[1], header.parameters[:2]
-    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'scale_factor'))
+    >>> header.standard, header.sources[1], header.parameters[:1]
+    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)', year='2022'), ('earth_rate',))
     """
     lines: dict[str, str] = {}
     parameters: list[str] = []
@@ -115,7 +116,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
                 f"metric {where}: source {each!r} is not like 'GJB 2426A-2004 5.12.1 (19)', or for a document "
                 "of your own house 'ACME QP-07 4.2'"
             )
-        sources.append(Clause(match["standard"].replace(" ", ""), match["clause"]))
+        sources.append(Clause(match["standard"].replace(" ", ""), match["clause"], match["year"] or ""))
     found, none = _influences(influences, where)
     return MetricHeader(
         **{name: lines[name] for name in texts},

@@ -128,7 +128,7 @@ def test_a_metric_of_ones_own_house_names_its_document() -> None:
     statement = files("analytics.metrics").joinpath("bias.sql").read_text(encoding="utf-8")
     source = next(line for line in statement.splitlines() if line.startswith("-- source:"))
     own = parse_header(statement.replace(source, "-- source:    ACME QP-07 4.2; GJB 2426A-2004 5.12.1 (19)"), "bias")
-    assert own.sources == (Clause("ACME", "QP-07 4.2"), Clause("GJB2426A", "5.12.1 (19)"))
+    assert own.sources == (Clause("ACME", "QP-07 4.2"), Clause("GJB2426A", "5.12.1 (19)", "2004"))
     with pytest.raises(MetricError, match="ACME QP-07"):
         parse_header(statement.replace(source, "-- source:    our own"), "bias")
 

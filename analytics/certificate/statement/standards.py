@@ -52,8 +52,10 @@ def standard_of(text: str) -> Standard:
     >>> standard_of("JJF 1536-2015").code
     'JJF 1536-2015'
     """
-    name = text.strip().upper().replace(" ", "").replace("—", "-").partition("-")[0]
+    name, _, year = text.strip().upper().replace(" ", "").replace("—", "-").partition("-")
     found = standards().get(name)
     if found is None:
         raise BadInput(f"no certificate is issued by {text!r}; there are {', '.join(standards())}")
+    if year and year != found.code.partition("-")[2]:
+        raise BadInput(f"certificates are issued by {found.code}, not by {text.strip()}")
     return found

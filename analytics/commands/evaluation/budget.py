@@ -83,13 +83,15 @@ def budget(
 def _print(
     unit: str, found: "ValueBudget", expanded: "Expanded | None", check: "Propagated | None", language: str
 ) -> None:
+    from analytics.evaluation.selection import with_year
     from analytics.evaluation.table import format_parameters
     from analytics.uncertainty.rounding import round_with
 
     combined, unknown, no_expanded, several = _WORDS[language]
     of, measure, is_zh = found.budget, format_unit(found.budget.unit), language == "zh"
     console = results()
-    console.print(f"{unit}  {of.zh if is_zh else of.en}  {found.run or several}  {found.standard} {found.clause}")
+    clause = f"{with_year(found.standard)} {found.clause}"
+    console.print(f"{unit}  {of.zh if is_zh else of.en}  {found.run or several}  {clause}")
     console.print(format_parameters(found.parameters, language), style="dim")
     table = ResultTable(*_TITLES[language])
     for each in of.components:

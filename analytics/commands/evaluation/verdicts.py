@@ -236,6 +236,7 @@ def _reasons_text(row: dict[str, Any], language: str) -> str:
 
 
 def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
+    from analytics.evaluation.selection import with_year
     from analytics.evaluation.table import format_limits, format_number, format_parameters, reason_of
     from stream.quantities import format_unit
 
@@ -261,7 +262,8 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
             of_plant + name_of_metric(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or (several if len(row["runs"]) > 1 else ""), value, interval,
             f"{format_limits(row)} {unit}".strip(), coloured(row["verdict"], language),
-            _conformity(row, language), row["standard"], label + (mark if row["withdrawn"] else ""), why,
+            _conformity(row, language), with_year(row["standard"] or ""),
+            label + (mark if row["withdrawn"] else ""), why,
         )  # fmt: skip
     return table
 

@@ -116,9 +116,10 @@ def test_a_selection_leaves_the_rest_out(ask: Ask) -> None:
 
 
 @pytest.mark.in_gate(
-    "words5---since 'yesterday' is not a moment",
-    "words7---annex-a stands alone",
-    "words6-has no time zone",
+    "words6---since 'yesterday' is not a moment",
+    "words8---annex-a stands alone",
+    "words5-the metrics are of GJB2426A-2004, not of GJB2426A-2015",
+    "words7-has no time zone",
     "words0-there is no metric 'bais'; did you mean bias?",
     "words4-no metric is of the standard 'GJB 2427'; there are CN102680005, GJB2426A",
 )
@@ -130,6 +131,7 @@ def test_a_selection_leaves_the_rest_out(ask: Ask) -> None:
         (("--run", "longer"), "did you mean long?"),
         (("--lot", "L1"), "lot 'L1'"),
         (("--standard", "GJB 2427"), "no metric is of the standard 'GJB 2427'; there are CN102680005, GJB2426A"),
+        (("--standard", "GJB2426A-2015"), "the metrics are of GJB2426A-2004, not of GJB2426A-2015"),
         (("--since", "yesterday"), "--since 'yesterday' is not a moment"),
         (("--since", "2026-01-05T08:00"), "has no time zone"),
         (("--annex-a", "FOG-0001", "--unit", "FOG-0001"), "--annex-a stands alone"),
@@ -148,7 +150,7 @@ def test_the_table_speaks_both_languages(ask: Ask) -> None:
     english = ask("metrics", "--unit", "FOG-0001").stdout
     chinese = ask("metrics", "--unit", "FOG-0001", "--lang", "zh").stdout
     assert "Bias" in english
-    assert "GJB2426A 5.12.1" in english
+    assert "GJB2426A-2004 5.12.1" in english
     assert "零偏" in chinese
     assert "参数" in chinese
 

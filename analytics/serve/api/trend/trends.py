@@ -229,9 +229,11 @@ def list_metrics(call: Call, asked: Nothing) -> Metrics:
 
 
 def _metric_row(header: "MetricHeader", count: dict[str, int]) -> MetricRow:
+    from analytics.evaluation.selection import with_year
+
     return MetricRow(
         metric=header.id, en=header.en, zh=header.zh, unit_of_measure=header.unit, better=header.better,
-        clauses=[f"{each.standard} {each.clause}" for each in header.sources], values=count["n"],
+        clauses=[f"{with_year(each.standard)} {each.clause}" for each in header.sources], values=count["n"],
         units=count["units"], without_value=count["without_value"],
     )  # fmt: skip
 

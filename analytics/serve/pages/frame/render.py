@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
+from analytics.evaluation.selection import with_year
 from analytics.serve.api.operation import link
 from analytics.serve.api.rows import iso
 from analytics.serve.doors.gate import PERSON
@@ -51,6 +52,7 @@ def _environment() -> jinja2.Environment:
         "segment": _segment,
         "bytes": size,
         "typed": typed,
+        "with_year": with_year,
     }
     return environment
 
