@@ -35,7 +35,7 @@ _WALKS = {
     ),
 }
 _ZH_VERDICTS = {
-    ModelVerdict.NOTHING_MISSING: "无缺项",
+    ModelVerdict.NOTHING_MISSING: "未检出缺项",
     ModelVerdict.EFFECT_FOUND: "发现效应",
     ModelVerdict.CONFOUNDED: "无法区分",
     ModelVerdict.UNREPLICATED: "未重现",

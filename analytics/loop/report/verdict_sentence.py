@@ -59,12 +59,14 @@ def _nothing_missing(diagnosis: Diagnosis, words: Wording) -> str:
         return words.of(
             f"nothing is found to be missing: within the runs the residual of the declared model is noise, and none of "
             f"the {tested} effects tested is seen{scatter}",
-            f"未发现缺项：已声明模型在各次试验内的残差为噪声，所检验的{tested}种效应均未见到{scatter}",
+            f"未检出缺项：已声明模型在各次试验内的残差为噪声，所检验的{tested}种效应均未见到{scatter}",
         )
     return words.of(
-        f"nothing is missing: the residual of the declared model in {data} is the noise declared, or else that of the "
-        f"unit's own Allan curves, and none of the {tested} effects tested is present",
-        f"无缺项：已声明模型在{data}中的残差即为所声明的噪声（未声明时为产品自身Allan曲线的噪声），所检验的{tested}种效应均不存在",
+        f"nothing is found to be missing: the residual of the declared model in {data} is the noise declared, or else "
+        f"that of the unit's own Allan curves, and none of the {tested} effects that were tested was found; the table "
+        "has the size above which each is excluded",
+        f"未检出缺项：已声明模型在{data}中的残差即为所声明的噪声（未声明时为产品自身Allan曲线的噪声），"
+        f"所检验的{tested}种效应均未检出；各效应可排除的大小下限见表",
     )
 
 
