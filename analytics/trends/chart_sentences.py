@@ -33,6 +33,16 @@ def moment(series: MetricSeries, index: int) -> str:
     return at.strftime("%Y-%m-%d %H:%M" if is_brief else "%Y-%m-%d")
 
 
+def state_of(chart: Chart) -> Words:
+    """Whether a chart is in control; where points of one that nothing is significant on are outside, how many."""
+    if chart.in_control is None:
+        return words("state_few")
+    if not chart.in_control:
+        return words("state_out")
+    outside = len(chart.signals.get(1, []))
+    return words("state_outside", n=outside, s="s" * (outside > 1)) if outside else words("state_in")
+
+
 def of_chart(chart: Chart) -> Iterator[Words]:
     """Sentences on what is significant on a chart."""
     series, unit = chart.series, chart.series.unit_of_measure

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from analytics.trends.chart_sentences import beyond, moment
+from analytics.trends.chart_sentences import beyond, moment, state_of
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.charts.nelson_rules import RULES
 from analytics.trends.groups.between_stations import Difference, GroupComparison, Pairs
@@ -83,6 +83,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
     return {
         "name": chart.name,
         "in_control": chart.in_control,
+        "state": state_of(chart)._asdict(),
         "limits": _plain(chart.limits),
         "points": _points(chart),
         "signals": [

@@ -7,6 +7,7 @@ from analytics.evaluation.reasons import in_chinese
 from analytics.trends.chart_sentences import drift_parts, moment, of_chart, unremarkable
 from analytics.trends.charts.capability import Capability, SpecifiedLimits
 from analytics.trends.groups.between_stations import LEAST_PAIRS, Difference, GroupComparison
+from analytics.trends.groups.nested_units import coinciding
 from analytics.trends.levels.level_shifts import LevelShift, LevelShifts
 from analytics.trends.levels.sessions import LEAST_UNITS
 from analytics.trends.series import GROUPS, MetricSeries
@@ -246,10 +247,12 @@ def _difference(found: Difference, comparison: GroupComparison, unit: str, since
 def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> Words:
     """The cause of a difference, as far as it can be known."""
     group = group_name(found.group)
+    nested = words("units_of_one", n=found.units, of=found.elsewhere) if not found.on_both else NOTHING
     if found.confounded:
-        return words("confounded", names=joined(map(group_name, found.confounded), " and ", "、"), group=group)
+        others = joined(map(group_name, found.confounded), " and ", "、")
+        return joined([nested, words("confounded", names=others, group=group)], "", "")
     if found.group == "lot":
-        return NOTHING
+        return nested
     of_group = [each for each in comparison.pairs if each.group == found.group]
     levels = {found.level, found.against}
     pair = next((each for each in of_group if {each.level, each.against} == levels), None)
@@ -261,7 +264,7 @@ def _attribution(found: Difference, comparison: GroupComparison, unit: str) -> W
         few = words(
             "units_few_on_both", n=found.on_both, s="s" * several, was="were" if several else "was", least=LEAST_PAIRS
         )
-        return few if found.on_both else words("units_on_one")
+        return few if found.on_both else joined([nested, words("units_on_one")], "", "")
     sign = 1 if pair.level == found.level else -1
     lo, hi = sorted((sign * pair.effect.lo, sign * pair.effect.hi))
     proof = words("proof" if lo > 0 or hi < 0 else "proof_none", group=group)
@@ -277,14 +280,19 @@ def _of_components(trend: Trend) -> Iterator[Words]:
     names = {"unit": "between_units", "residual": "between_measurements"}
     if "unit" not in found:
         names["residual"] = "between_units_measured"
+    same = coinciding(trend.found.rest, GROUPS)
+    included = words("with_groups", groups=joined(map(group_name, same), ", ", "、")) if same else NOTHING
     parts = []
     for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
         # the upper bound of few levels may be far away: two digits of each suffice
         value, lo, hi = (f"{each:.2g}" for each in found[name])
         whose = words(names.get(name, "between_levels"), group=group_name(name))
+        if name == ("unit" if "unit" in found else "residual"):
+            whose = joined([whose, included], "", "")
         unit = behind(trend.series.unit_of_measure)
         parts.append(words("component", name=whose, unit=unit, value=value, lo=lo, hi=hi))
-    unknown = [name for name in GROUPS if name not in found and len(set(trend.found.rest.groups[name])) > 1]
+    several = [name for name in GROUPS if len(set(trend.found.rest.groups[name])) > 1]
+    unknown = [name for name in several if name not in found and name not in same]
     lacking = words("components_lacking", names=joined(_between(unknown), ", ", "、")) if unknown else NOTHING
     yield words("components", parts=joined(parts), without=_without(trend), lacking=lacking)
 

@@ -21,10 +21,6 @@ _TITLES = {
     "en": ("points", "centre", "sigma", "lower limit", "upper limit", "state", "rules met (times)"),
     "zh": ("点数", "中心线", "σ", "下控制限", "上控制限", "状态", "判异准则（次数）"),
 }
-_STATES = {
-    "en": {True: "in control", False: "stands out", None: "too few points"},
-    "zh": {True: "受控", False: "异常", None: "点数不足"},
-}
 
 
 @click.command("trend")
@@ -125,6 +121,7 @@ def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
 
 def _chart_table(found: "Trend", language: str) -> ResultTable:
     from analytics.evaluation.table import name_of
+    from analytics.trends.chart_sentences import state_of
     from analytics.trends.words import NotComputed, figures, group_name
     from stream.quantities import format_unit
 
@@ -143,7 +140,7 @@ def _chart_table(found: "Trend", language: str) -> ResultTable:
             centre, lower, upper = (figures(each, limits.sigma / 10) for each in three)
             cells = [centre, f"{limits.sigma:.3g}", lower, upper]
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
-        state = _STATES[language][chart.in_control]
+        state = getattr(state_of(chart), language)
         name = chart.name or {"en": "all units", "zh": "全部产品"}[language]
         table.add_row(name, str(chart.series.value.size), *cells, state, met)
     if len(order) > _SHOWN_ROWS:

@@ -1,13 +1,12 @@
 """Differences between stations, fixtures and lots and what they are confounded with."""
 
-from collections import defaultdict
 from typing import NamedTuple
 
 import numpy as np
 
 from analytics.specifications.verdicts import UNGIVEN
 from analytics.trends.groups.contrasts import ContrastEstimate, do_not_scatter, holm, paired_difference
-from analytics.trends.groups.mixed_model import MixedModel
+from analytics.trends.groups.nested_units import alone, effects_of_levels, units_of_levels, units_of_several
 from analytics.trends.series import GROUPS, MetricSeries
 from analytics.trends.words import NotComputed, Words, group_name, listed, not_computed, words
 from stream.batch import FloatArray, IntArray
@@ -31,6 +30,7 @@ class Difference(NamedTuple):
     confounded: tuple[str, ...]  # groups whose effects cannot be separated from this one
     units: int  # units that were measured there
     on_both: int  # of these, units that were also measured at what it is compared with
+    elsewhere: int  # units that were measured at what it is compared with
 
 
 class Pairs(NamedTuple):
@@ -69,8 +69,9 @@ def compare_groups(
     Measurements of one unit on several stations and of different units are both used, each with its weight. A group
     whose columns depend on those of others is compared without them, and reported as confounded with them. A level is
     compared with the mean, weighted by units, of the other levels that have values of a product of its own; of two
-    levels the second with the first. Levels without a name, with a single value of a product, or of a product that no
-    other level has, are not compared, and their values are no part of the model. `beside`: columns of shape
+    levels the second with the first. Levels without a name, with a single value of a product, with one unit that was
+    measured at no other, or of a product that no other level has, are not compared, and their values are no part of
+    the model. Intervals count the scatter between units where these are of one level each. `beside`: columns of shape
     (n, columns) of what else is known to act, as a fixture that drifts.
     """
     if series.value.size < LEAST_VALUES:
@@ -90,13 +91,16 @@ def compare_groups(
         known = [] if beside is None else [beside[group.at]]
         columns = [*always, *(each for name, each in others.items() if name not in confounded), *known]
         fixed = np.column_stack([np.ones(own.value.size), *columns])
-        fixed, unit = fixed[:, independent(fixed)], codes(own.unit)[1]
+        fixed, unit, serial = fixed[:, independent(fixed)], codes(own.unit)[1], codes(own.serial)[1]
         if own.value.size - fixed.shape[1] < 3 or unit.max() < 1:
             left_out.append(words("group_short", group=group_name(group.name), levels=len(group.levels)))
             continue
         coefficients = np.zeros((len(contrasts), fixed.shape[1]))
         coefficients[:, 1 : len(group.levels)] = contrasts[:, 1:]  # the first level has no column
-        effects = MixedModel(own.value, fixed, unit).effects(coefficients)
+        effects = effects_of_levels(own.value, fixed, unit, serial, coefficients)
+        if effects is None:
+            left_out.append(words("group_units_short", group=group_name(group.name)))
+            continue
         differences += _differences(group, contrasts, effects, own, confounded)
     adjusted = holm([each.effect.chance for each in differences])
     differences = [each._replace(adjusted=p) for each, p in zip(differences, adjusted, strict=True)]
@@ -131,14 +135,19 @@ def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group],
             continue
         weights = _weights(series, name)
         compared = np.flatnonzero(weights.any(axis=1))
+        single = [each for each in alone(series, name) if each != UNGIVEN]
+        if len(single) == len(levels):
+            left_out.append(words("group_of_units", group=group_name(name)))
+            continue
+        if single:
+            left_out.append(words("levels_of_units", group=group_name(name), names=listed(single)))
         if not compared.size:
             few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())
             left_out.append(words("group_single", group=group_name(name), levels=len(levels), few=few))
             continue
         at = np.flatnonzero(np.isin(code, compared))
         found.append(_Group(name, [levels[each] for each in compared], at, weights[np.ix_(compared, compared)]))
-        if compared.size < len(levels):
-            others = [each for number, each in enumerate(levels) if number not in compared]
+        if others := [each for number, each in enumerate(levels) if number not in compared and each not in single]:
             left_out.append(words("levels_left_out", group=group_name(name), names=listed(others)))
     return found, left_out
 
@@ -147,11 +156,13 @@ def _weights(series: MetricSeries, group: str) -> FloatArray:
     """Of each level in the mean with which another is compared, of shape (levels, levels); 0 where they are not."""
     levels, code = codes(series.groups[group])
     products, product = codes(series.groups["product"])
-    values, units = np.zeros((2, len(products), len(levels)))
+    values, units, shared = np.zeros((3, len(products), len(levels)))
     np.add.at(values, (product, code), 1.0)
-    for of_product, of_level, _ in set(zip(product.tolist(), code.tolist(), series.serial, strict=True)):
+    several = units_of_several(units_of_levels(series, group))
+    for of_product, of_level, serial in set(zip(product.tolist(), code.tolist(), series.serial, strict=True)):
         units[of_product, of_level] += 1.0
-    is_enough = (values >= LEAST_PER_LEVEL) & (np.array(levels) != UNGIVEN)
+        shared[of_product, of_level] += serial in several
+    is_enough = (values >= LEAST_PER_LEVEL) & (np.array(levels) != UNGIVEN) & ((units > 1) | (shared > 0))
     weights = is_enough.T.astype(np.float64) @ (is_enough * units)
     np.fill_diagonal(weights, 0.0)
     return np.asarray(weights, np.float64)
@@ -200,17 +211,14 @@ def _confounded(contrasts: FloatArray, always: list[FloatArray], groups: dict[st
 def _differences(
     group: _Group, contrasts: FloatArray, effects: list[ContrastEstimate], series: MetricSeries, beside: tuple[str, ...]
 ) -> list[Difference]:
-    there: defaultdict[str, set[str]] = defaultdict(set)
-    for name, serial in zip(series.groups[group.name], series.serial, strict=True):
-        there[name].add(serial)
+    there = units_of_levels(series, group.name)
     found = []
     for contrast, effect in zip(contrasts, effects, strict=True):
         level = group.levels[int(contrast.argmax())]
         others = [group.levels[at] for at in np.flatnonzero(contrast < 0)]
-        on_both = there[level] & set().union(*(there[each] for each in others))
-        against = others[0] if len(others) == 1 else ""
-        units = len(there[level])
-        found.append(Difference(group.name, level, against, effect, 1.0, beside, units, len(on_both)))
+        elsewhere = set[str]().union(*(there[each] for each in others))
+        against, counts = others[0] if len(others) == 1 else "", (len(there[level] & elsewhere), len(elsewhere))
+        found.append(Difference(group.name, level, against, effect, 1.0, beside, len(there[level]), *counts))
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from analytics.trends.groups.contrasts import less_block_means
+from analytics.trends.groups.nested_units import alone
 from analytics.trends.series import GROUPS, NS_PER_DAY, MetricSeries
 from analytics.trends.words import Words, group_name, listed, words
 from stream.batch import BoolArray, FloatArray
@@ -86,7 +87,15 @@ def _within_units(series: MetricSeries, group: str) -> _Compared:
     if off is None:
         of = words("scatter_of", of=words("scatter_within"), group=group_name(group))
         return [], [words("scatter_days", of=of, least=_FEWEST_OF_DAY)]
-    return _compared(series, group, _roots_of_levels(series, group, series.unit, *off), is_within_units=True)
+    single = alone(series, group)
+    roots = _roots_of_levels(series, group, series.unit, *off)
+    found, left_out = _compared(
+        series, group, {level: own for level, own in roots.items() if level not in single}, is_within_units=True
+    )
+    if own := sorted(roots.keys() & set(single)):
+        of = words("scatter_of", of=words("scatter_within"), group=group_name(group))
+        left_out.append(words("scatter_units", of=of, names=listed(own)))
+    return found, left_out
 
 
 def _compared(series: MetricSeries, group: str, roots: Mapping[str, FloatArray], *, is_within_units: bool) -> _Compared:
@@ -95,7 +104,7 @@ def _compared(series: MetricSeries, group: str, roots: Mapping[str, FloatArray],
         others = [each for name, each in roots.items() if name != level]
         if others and own.any() and np.concatenate(others).any():
             found.append(ScatterDifference(group, level, is_within_units, *_ratio(own, np.concatenate(others))))
-    few = sorted(set(series.groups[group]) - set(roots))
+    few = sorted(set(series.groups[group]) - set(roots) - set(alone(series, group) if is_within_units else ()))
     of = words(
         "scatter_of", of=words("scatter_within" if is_within_units else "scatter_first"), group=group_name(group)
     )

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from analytics.trends.chart_sentences import state_of
 from analytics.trends.charts.capability import Capability, capability
 from analytics.trends.charts.control_chart import D2, IndividualsChart, Spread, ewma_chart, individuals_chart
 from analytics.trends.charts.nelson_rules import chart_chance, points_of, rule_flags, wild_point_chance
 from analytics.trends.levels.change_points import Changes, change_points
+from analytics.trends.trend import trend_of
 from analytics.trends.words import NotComputed, Words
+from tests.analytics.trends.test_trends_groups import series_of
 
 
 def _plain_flags(z: list[float]) -> set[tuple[int, int]]:
@@ -192,3 +195,14 @@ def test_capability_tells_what_the_measurement_adds_and_whether_values_are_norma
     unknown = capability(rng.normal(0, 2.0, 40), -9, 9, uncertainty=np.full(40, np.nan))
     assert isinstance(unknown, Capability)
     assert unknown.measurement_share is None
+
+
+def test_a_point_outside_the_limits_is_in_the_state_of_the_chart() -> None:
+    """Nine values with one beyond 3 sigma, as noise gives: the chart does not call itself in control beside it."""
+    value = np.array([0.09, 0.1, 0.095, 0.105, 0.1, 0.11, 0.1, 0.06, 0.09])
+    (chart,) = trend_of(series_of(value, np.zeros(9, int)), by="unit").charts
+    assert (chart.in_control, len(chart.signals[1])) == (True, 1)
+    assert state_of(chart).en == "1 point outside, not significantly more than chance"
+    assert state_of(chart).zh == "1 点超出控制限，未显著多于随机预期"
+    (plain,) = trend_of(series_of(np.r_[value[:7], 0.1, 0.09], np.zeros(9, int)), by="unit").charts
+    assert state_of(plain) == ("in control", "受控")

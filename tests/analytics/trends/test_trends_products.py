@@ -168,11 +168,13 @@ def test_a_unit_of_another_product_hides_no_fixture_that_differs(values: int) ->
 
 
 def test_a_level_with_few_units_weighs_little_in_the_mean_of_the_others() -> None:
-    """One unit on a fourth fixture, at its own level twice."""
+    """Two units on a fourth fixture alone, at a level of their own."""
     plain = three_fixtures(2, 0.2)
     few = with_another(plain, values=2)
     few = replace(
-        few, groups=few.groups | {"product": ["FOG-70"] * 98, "fixture": [*few.groups["fixture"][:-2], *"ZZ"]}
+        few,
+        unit=[*few.unit[:-1], "U9998"],
+        groups=few.groups | {"product": ["FOG-70"] * 98, "fixture": [*few.groups["fixture"][:-2], *"ZZ"]},
     )
     comparison, alone = compare_groups(few), compare_groups(plain)
     assert not isinstance(comparison, NotComputed)
