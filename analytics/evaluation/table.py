@@ -174,7 +174,7 @@ def write_xlsx(rows: Sequence[Row], path: Path, language: str) -> None:
     options["nan_inf_to_errors"] = True
     try:
         with replacement(path) as fresh, xlsxwriter.Workbook(str(fresh), options) as book:
-            sheet = book.add_worksheet("指标" if language == "zh" else "metrics")
+            sheet = book.add_worksheet("特性" if language == "zh" else "metrics")
             bold = book.add_format({"bold": True})
             columns = _columns_of(rows)
             titles = _titles(("name", *columns), language)

@@ -1,6 +1,6 @@
 -- id:        range
 -- en:        Input range
--- zh:        最大输入角速度
+-- zh:        最大输入角速率
 -- unit:      deg/s
 -- better:    higher
 -- grain:     unit, signal, run, position, temperature, repeat, visit

@@ -1,6 +1,6 @@
 -- id:        scale_factor_asymmetry
 -- en:        Scale-factor asymmetry
--- zh:        标度因数不对称性
+-- zh:        标度因数不对称度
 -- unit:      ppm
 -- better:    lower
 -- grain:     unit, signal, run, position, temperature, repeat, visit

@@ -35,7 +35,10 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Curve(msgspec.Struct, frozen=True, kw_only=True):
-    """A curve; `lo` and `hi` are bounds of y, `texts` say what each point is, `links` are the pages behind points."""
+    """A curve; `lo` and `hi` are bounds of y, `texts` say what each point is, `links` are the pages behind points.
+
+    `verdicts` are those of its points, as ``PASS``.
+    """
 
     name: Label
     x: Sequence[float]
@@ -45,6 +48,7 @@ class Curve(msgspec.Struct, frozen=True, kw_only=True):
     hi: Sequence[float | None] | None = None
     texts: Sequence[str] | None = None
     links: Sequence[str | None] | None = None
+    verdicts: Sequence[str | None] | None = None
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -68,7 +72,7 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
     def columns(self) -> Mapping[str, Sequence[Any]]:
         """Its table in long form, for Arrow, Parquet and CSV: one row for each point of each curve."""
         rows = [
-            (curve.name.en, at(curve.texts, i) or "", self.place(x), curve.y[i], at(curve.lo, i), at(curve.hi, i))
+            (curve.name.en, _point(curve, i), self.place(x), curve.y[i], at(curve.lo, i), at(curve.hi, i))
             for curve in self.curves
             for i, x in enumerate(curve.x)
         ]
@@ -92,6 +96,10 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
         if self.x.scale == "names":
             return self.x.names[round(x)].en
         return x
+
+
+def _point(curve: Curve, index: int) -> str:
+    return " ".join(filter(None, (at(curve.texts, index), at(curve.verdicts, index))))
 
 
 def at(values: Sequence[Any] | None, index: int) -> Any:

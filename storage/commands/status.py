@@ -139,12 +139,14 @@ def _released(run: "RunProgress") -> str:
 
     >>> from stream.status.role_status import RunProgress
     >>> _released(RunProgress(run="r1", units=("U1", "U2"), released={"U1": "PASS"}, saved_s=5400.0))
-    'released 已释放 r1: U1 PASS 合格; 1.5 unit hours saved 节省产品小时'
+    'released 已提前结束 r1: U1 PASS 合格; 1.5 unit hours saved 节省产品小时'
     """
     named = [f"{unit} {verdict} {_CHINESE.get(verdict, '')}".rstrip() for unit, verdict in sorted(run.released.items())]
     more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
     hours = run.saved_s / 3600.0
-    return f"released 已释放 {run.run}: {', '.join(named[:_NAMED])}{more}; {hours:,.1f} unit hours saved 节省产品小时"
+    return (
+        f"released 已提前结束 {run.run}: {', '.join(named[:_NAMED])}{more}; {hours:,.1f} unit hours saved 节省产品小时"
+    )
 
 
 def _duration(seconds: float) -> str:

@@ -84,7 +84,8 @@ def _print(
     unit: str, found: "ValueBudget", expanded: "Expanded | None", check: "Propagated | None", language: str
 ) -> None:
     from analytics.evaluation.selection import with_year
-    from analytics.evaluation.table import format_parameters
+    from analytics.evaluation.reasons import in_chinese
+    from analytics.evaluation.table import format_number, format_parameters
     from analytics.uncertainty.rounding import round_with
 
     combined, unknown, no_expanded, several = _WORDS[language]
@@ -106,9 +107,13 @@ def _print(
         table.add_row(combined, "", "", "", "", f"{expanded.u:.3g}", _freedom(expanded.freedom))
     console.print(table)
     if expanded is None:
-        console.print(
-            f"{of.value:.9g} {measure}; {no_expanded}: {'; '.join(f'{e.en}: {e.reason}' for e in of.unknown)}"
+        why = (f"{e.zh}：{in_chinese(e.reason)}" if is_zh else f"{e.en}: {e.reason}" for e in of.unknown)
+        shown, colon, apart = (
+            format_number(of.value, of.standard_uncertainty()),
+            "：" if is_zh else ": ",
+            "；" if is_zh else "; ",
         )
+        console.print(f"{shown} {measure}{apart}{no_expanded}{colon}{apart.join(why)}")
     else:
         value, half = round_with(of.value, expanded.expanded)
         line = f"{value} {measure}, U = {half} {measure} (k = {expanded.k:.2f}, p = {100 * expanded.p:.2f} %)"

@@ -206,7 +206,7 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
     titles = ("characteristic", "of", "product", "lower", "upper", "unit of measure")
     if language == "zh":
         titles = ("特性", "限定", "产品", "下限", "上限", "单位")
-    state = (", withdrawn" if language == "en" else "，已撤回") if found.label in withdrawn_labels(links) else ""
+    state = (", withdrawn" if language == "en" else "，已撤销") if found.label in withdrawn_labels(links) else ""
     table = ResultTable(*titles, title=f"{found.label}, {period.text}{state}")
     for each in judged:
         of = each.subject.removeprefix(each.metric).strip(" ()")

@@ -256,7 +256,7 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
         parameters = format_parameters(json.loads(row["parameters"] or "{}"), language)
         of_plant = f"{row['plant']}: " if "plant" in row else ""
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
-        mark = " (已撤回)" if language == "zh" else " (withdrawn)"
+        mark = "（已撤销）" if language == "zh" else " (withdrawn)"
         why = "; ".join(reason_of({"reason": each}, language) for each in (row["reason"], row["withdrawn"]) if each)
         table.add_row(
             of_plant + name_of_metric(row["metric"], language) + (f" ({parameters})" if parameters else ""),

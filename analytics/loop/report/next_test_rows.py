@@ -111,7 +111,7 @@ def _named(rival: str, found: NextTest, words: Wording) -> str:
 def next_test_rows(found: NextTest, words: Wording) -> TextTable:
     """The plans, the first one recommended."""
     head = words.each(
-        ("procedure", "试验程序"), ("what is done", "内容"), ("runs", "次数"), ("hours", "小时"), ("power", "功效"),
+        ("procedure", "试验方法"), ("what is done", "内容"), ("runs", "次数"), ("hours", "小时"), ("power", "功效"),
         ("least power", "最小功效"), ("power if it is", "各情形的功效"), ("separation", "区分度"),
     )  # fmt: skip
     rows = [
@@ -133,7 +133,7 @@ def bounds_sentence(found: NextTest, words: Wording) -> str | None:
         return None
     sources = {
         "runs": words.of("the runs so far", "已做试验"),
-        "station": words.of("the station file", "台站文件"),
+        "station": words.of("the station file", "试验台文件"),
         "given": "--bounds",
         "default": words.of("default", "默认值"),
     }
@@ -145,7 +145,7 @@ def bounds_sentence(found: NextTest, words: Wording) -> str | None:
     if any(each["from"] == "station" for each in found.bounds.document().values()):
         text += words.of(
             "; what the station file gives may be more than the unit withstands: compare it with its specification",
-            "；台站文件所给范围可能超出产品承受能力：请与产品技术指标核对",
+            "；试验台文件所给范围可能超出产品承受能力：请与产品技术指标核对",
         )
     return text + words.of(".", "。")
 

@@ -73,7 +73,7 @@ export function draw(host, picture, height = 300) {
       if (at === undefined || of.y[at] === null) return [];
       const bounds = of.lo?.[at] === null || !of.lo ? "" : say("bounds", {lo: figure(of.lo[at]), hi: figure(of.hi[at])});
       const name = curves.length > 1 ? curve.name[LANG] : "";
-      return [[name, of.texts?.[at], `${figure(of.y[at])}${bounds} ${y.unit}`].filter(Boolean).join(" · ")];
+      return [[name, of.texts?.[at], of.verdicts?.[at] && say(of.verdicts[at]), `${figure(of.y[at])}${bounds} ${y.unit}`].filter(Boolean).join(" · ")];
     });
     const rest = told.length > TOLD ? [say("more", {n: told.length - TOLD})] : [];
     return `${place(data[0][index])}: ${[...told.slice(0, TOLD), ...rest].join("; ")}`;
@@ -87,7 +87,7 @@ export function draw(host, picture, height = 300) {
 function sorted(curve) {
   const order = curve.x.map((_, i) => i).sort((a, b) => curve.x[a] - curve.x[b]);
   const of = values => (values ? order.map(i => values[i]) : null);
-  return {x: distinct(of(curve.x)), y: of(curve.y), lo: of(curve.lo), hi: of(curve.hi), texts: of(curve.texts), links: of(curve.links)};
+  return {x: distinct(of(curve.x)), y: of(curve.y), lo: of(curve.lo), hi: of(curve.hi), texts: of(curve.texts), links: of(curve.links), verdicts: of(curve.verdicts)};
 }
 
 /** Values of x that are the same, as those of one moment, a little apart. */

@@ -35,7 +35,7 @@ const TEXTS = {
     history: "以往语句", rows: "{n}行，{s} s", cut: "在{n}行截断", plot: "横轴为第一列数值或时间，其余为纵轴",
     course: "{what}：指令值与实测值随时间变化；方向键读数", commanded: "指令值", current: "进行中",
     at: "{time}：{values}", allans: "{n}个产品的Allan 标准差随平均时间变化，双对数坐标，含95%置信界与限值；方向键读数",
-    answered: "{action}：{text}", waiting: "等待试验台答复", angle_random_walk: "角随机游走系数", allan_deviation: "Allan 标准差",
+    answered: "{action}：{text}", waiting: "等待试验台答复", angle_random_walk: "角度随机游走系数", allan_deviation: "Allan 标准差",
     of_limit: "{unit}，{tau} s 处的{name}，{limit}：{upper} {measure}：",
     limit_below: "低于限值", limit_above: "高于限值", limit_across: "置信界跨越限值", limit_none: "记录长度尚不足",
     rate: "角速率 / (deg/s)", temperature: "温度 / degC",

@@ -114,6 +114,10 @@ def test_a_run_says_which_of_its_units_are_excluded_and_why(api: httpx.Client) -
     assert unit["excluded"] == "<b>kicked</b> (Li)"
     page = api.get(f"/runs/{name}").text
     assert "excluded from evaluation: &lt;b&gt;kicked&lt;/b&gt; (Li)" in page
+    of_unit = api.get(f"/units/{quote(str(unit['unit']), safe='')}").text
+    assert "excluded from evaluation: &lt;b&gt;kicked&lt;/b&gt; (Li)" in of_unit
+    assert "of 1 units excluded from evaluation" in api.get("/runs").text
+    assert {each["run"]: each["excluded"] for each in got(api, "/api/runs")["runs"]}["run-1"] == 0
     assert all(each["excluded"] is None for each in got(api, "/api/runs/run-1")["units"])
 
 

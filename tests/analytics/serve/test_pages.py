@@ -10,7 +10,9 @@ import pytest
 
 from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.table import format_number
-from analytics.serve.pages.frame.language import Texts
+from analytics.plots.picture import Axis, Label
+from analytics.serve.pages.frame.language import LANGUAGES, Texts
+from analytics.serve.pages.frame.render import compiled
 from stream.events import AnyDocument
 from tests.analytics.serve.conftest import Served
 from tests.analytics.serve.served_store import START_NS
@@ -180,6 +182,14 @@ def test_the_page_of_trends_says_in_which_zone_its_times_are(api: httpx.Client) 
     assert "Dates and times in sentences and charts are in UTC; tables name their zone." in text
     charts = text.partition('id="charts-title"')[2].partition("</section>")[0]
     assert re.search(r'<tr><td><time datetime="[^"]+Z">[-0-9 :]+ <span class="zone">[^<]+</span></time></td>', charts)
+
+
+def test_the_table_of_a_picture_names_the_zone_of_its_times() -> None:
+    axis = Axis(label=Label("time (UTC)", "时间（UTC）"), scale="time")
+    parts = compiled("frame/parts.html.jinja").make_module({"zone": "Asia/Shanghai"})
+    name = vars(parts)["axis_name"]
+    shown = [str(name(axis, Texts(language))).strip() for language in LANGUAGES]
+    assert shown == ["time (Asia/Shanghai)", "时间（Asia/Shanghai）"]
 
 
 def test_a_statement_is_answered_without_scripts(served: Served) -> None:

@@ -60,7 +60,7 @@ def test_released_units_are_on_the_pages(gyrofleet: Gyrofleet, bench: Bench, spa
         assert verdicts == {"SIM-0002": "FAIL", "SIM-0004": "FAIL"}
         (on_floor,) = floor["runs"]
         assert (on_floor["released"], on_floor["time_zone"]) == (2, ZONE)
-        for lang, word in (("en", "<td>released</td>"), ("zh", "<td>已释放</td>")):
+        for lang, word in (("en", "<td>released</td>"), ("zh", "<td>已提前结束</td>")):
             shown = client.get("/", params={"released": "1", "lang": lang}, headers={"Accept": "text/html"}).text
             assert shown.count(word) == 2
             assert "SIM-0001" not in shown

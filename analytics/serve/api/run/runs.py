@@ -15,9 +15,11 @@ select run, site, station, date_known, case when date_known then epoch_ns(starte
   case when date_known then epoch_ns(ended) end as ended_ns, duration_s, outcome, resumptions, gap_s,
   greatest(coalesce(len(units), 0), coalesce(mounted, 0)) as units, coalesce(signals, 0) as signals, samples,
   "procedure", operator, lot, simulated, source, epoch_ns(recorded) as recorded_ns, released, saved_s, time_zone,
+  coalesce(excluded, 0) as excluded,
   coalesce(if(date_known, epoch_ns(started), epoch_ns(recorded)), 0) as place_ns
 from internal.served_runs
 left join (select run, count(*) as mounted from internal.served_units group by run) using (run)
+left join (select run, count(*) as excluded from exclusions group by run) using (run)
 """
 _PAGE = f"""
 with listed as ({_RUN}), seen as (select place_ns as before from listed where run = $after)
@@ -97,7 +99,8 @@ class RunsAsked(Paged, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     """A run; without a known date it has no moments, and its samples count from 1970-01-01.
 
-    `released` units were released before the end, which saved `saved_s` of records; `time_zone` is that of the station.
+    `released` units were released before the end, which saved `saved_s` of records; `time_zone` is that of the station;
+    `excluded` units of it are excluded from evaluation.
     """
 
     run: str
@@ -122,6 +125,7 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     released: int
     saved_s: float | None
     time_zone: str | None
+    excluded: int
     started: str | None = None
     ended: str | None = None
 

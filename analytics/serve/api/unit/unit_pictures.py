@@ -188,8 +188,9 @@ def unit_temperature(call: Call, asked: OfSignal) -> Picture:
     temperature = next((name for name in _TEMPERATURES if name in known), None)
     curves += _sweeps(call, unit, signal, temperature, factor) if temperature is not None else []
     none = Label(
-        "No static step and no run whose temperature moves by 3 degC or more tells the bias over temperature.",
-        "没有静态步骤，也没有温度变化达到 3 degC 的试验，无法给出零偏随温度的变化。",
+        "No static step, and no run whose temperature moves by 3 °C or more, gives the bias over temperature; a static "
+        "step needs a signal temperature or a commanded temperature.",
+        "没有静态步骤或温度变化达到 3 °C 的试验能给出零偏随温度的变化；静态步骤须有信号 temperature 或指令温度。",
     )
     note = Label(
         "Points of steps: bias with its 95 % bounds. Curves of runs: means of 10 s at rest in classes of temperature; "
@@ -294,8 +295,9 @@ def _values(kind: str, points: list[tuple[float, dict[str, Any]]]) -> Curve:
     return Curve(
         name=Label.same(kind), x=[x for x, _ in points], y=[row["value"] for _, row in points], style="both",
         lo=[row["lo"] for _, row in points], hi=[row["hi"] for _, row in points],
-        texts=[" ".join(filter(None, (row["run"], row["verdict"]))) for _, row in points],
+        texts=[row["run"] or "" for _, row in points],
         links=[link("runs", row["run"]) if row["run"] else None for _, row in points],
+        verdicts=[row["verdict"] for _, row in points],
     )  # fmt: skip
 
 

@@ -50,13 +50,15 @@ left join (select run, time_zone from internal.served_runs) z on z.run = coalesc
 _RUNS = """
 select r.run, r.station, r.procedure, r.outcome, u.slot, u.lot, u.product, coalesce(s.signals, []) as signals,
   case when r.date_known then epoch_ns(r.started) end as started_ns,
-  case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, r.time_zone, g.verdict
+  case when r.date_known then epoch_ns(r.ended) end as ended_ns, r.duration_s, r.time_zone, g.verdict,
+  x.reason || ' (' || x.by_whom || ')' as excluded
 from (
   select run, list(signal order by signal) as signals from internal.served_signals where unit = $unit group by run
 ) s
 full join (select * from internal.served_units where unit = $unit) u using (run)
 join internal.served_runs r using (run)
 left join (select run, verdict from internal.served_verdicts where unit = $unit) g using (run)
+left join (select run, reason, by_whom from exclusions where unit = $unit) x using (run)
 order by coalesce(if(r.date_known, r.started, r.recorded), r.recorded) desc, r.run
 """
 
@@ -121,6 +123,7 @@ class UnitRun(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float | None
     time_zone: str | None
     verdict: str | None
+    excluded: str | None  # why it is excluded from evaluation, and by whom
     started: str | None = None
     ended: str | None = None
 
