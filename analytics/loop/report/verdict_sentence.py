@@ -62,7 +62,7 @@ def _nothing_missing(diagnosis: Diagnosis, words: Wording) -> str:
             f"未检出缺项：已声明模型在各次试验内的残差为噪声，所检验的{tested}种效应均未见到{scatter}",
         )
     return words.of(
-        f"nothing is found to be missing: the residual of the declared model in {data} is the noise declared, or else "
+        f"nothing is missing: the residual of the declared model in {data} is the noise declared, or else "
         f"that of the unit's own Allan curves, and none of the {tested} effects that were tested was found; the table "
         "has the size above which each is excluded",
         f"未检出缺项：已声明模型在{data}中的残差即为所声明的噪声（未声明时为产品自身Allan曲线的噪声），"
