@@ -32,15 +32,18 @@ COVERAGE = math.erf(math.sqrt(2.0))  # p of k = 2
 NO_SENSITIVITY = "the record does not say how it enters"
 NO_INFLUENCE = "type B unknown: the metric does not state how the station's standards enter"
 NO_TYPE_A = "type A unknown: the scatter of the value is not determined"
-# Latitude of each run, and unit of the output of each signal.
+# Latitude of each run, and axis and unit of the output of each signal.
 _FACTS = """
 create or replace table internal.influence_facts as
 select run as of_run, unit as of_unit, signal as of_signal, any_value(latitude_deg) as latitude_deg,
+  any_value(body_axis) as body_axis,
   any_value(unit_of_measure) as output_unit, case output_unit when 'V' then 1.0 when 'mV' then 1e-3 when 'uV' then 1e-6
   end as volt
-from step_means group by run, unit, signal
+from step_means left join (select distinct run, unit, signal, body_axis from internal.gyro_steps)
+  using (run, unit, signal)
+group by run, unit, signal
 """
-_OF_FACTS = ("latitude_deg", "output_unit", "volt")
+_OF_FACTS = ("latitude_deg", "body_axis", "output_unit", "volt")
 _KEYS = ("run", "runs", "unit", "signal")
 _SENSITIVITIES = """
 select {expressions} from given_rows m

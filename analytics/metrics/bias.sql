@@ -12,19 +12,20 @@
 -- influence: rate: per_ppm(raw_deg_per_h)
 -- influence: voltage: per_ppm_of_voltage(raw_deg_per_h, volt)
 -- influence: voltage_offset: coalesce(abs(deg_per_h) / volt, 0)
--- influence: levelling: levelling_deg_per_h(parameters->>'$.position', latitude_deg, signal)
--- influence: heading: heading_deg_per_h(parameters->>'$.position', latitude_deg, signal)
--- influence: latitude: if(parameters->>'$.earth_rate' = 'removed', latitude_deg_per_h(parameters->>'$.position', latitude_deg, signal), 0)
+-- influence: levelling: levelling_deg_per_h(parameters->>'$.position', latitude_deg, body_axis)
+-- influence: heading: heading_deg_per_h(parameters->>'$.position', latitude_deg, body_axis)
+-- influence: latitude: if(parameters->>'$.earth_rate' = 'removed', latitude_deg_per_h(parameters->>'$.position', latitude_deg, body_axis), 0)
 -- of:        internal.still_steps where not turns
 -- An error of K acts on F/K as a whole, also where the Earth's rate is removed from it afterwards.
 -- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
 -- The interval is value -+ t(freedom) u with u = sd/sqrt(n_effective): where flicker or random walk leaves few degrees of
 -- freedom, t is larger than 1.96 and the interval wider than n_effective alone suggests.
 with corrected as (
-  select *, unnest(case when is_attitude_known then ['none', 'removed'] else ['none'] end) as earth_rate
+  select *, unnest(case when is_attitude_known or lacks_body_axis then ['none', 'removed'] else ['none'] end) as earth_rate
   from internal.bias_steps
 ), judged as (
-  select *, coalesce(lack, case when earth_rate = 'removed' and earth_deg_per_h is null then no_latitude() end) as missing
+  select *, coalesce(lack, case when earth_rate = 'removed' then
+    case when lacks_body_axis then no_body_axis() when earth_deg_per_h is null then no_latitude() end end) as missing
   from corrected
 )
 select

@@ -1,6 +1,5 @@
 """The six signals of a three-axis device, by name and unit of measure, and their samples on one grid."""
 
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -10,10 +9,10 @@ import numpy as np
 from analytics.system_level.rotation_record import AXES, ImuSeries
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
+from stream.channel_names import signal_axis
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
-_AXIS = re.compile(r"(?:^|_|rate|gyro|acc|accel|acceleration|force)([xyz])(?:_|$)")
 _SAMPLES = """
 select signal, t_ns, value from internal.samples_in($paths)
 where run = $run and unit = $unit and list_contains($signals, signal) and t_ns between $first and $last
@@ -57,14 +56,14 @@ def imu_channels(units_of_measure: Mapping[str, str]) -> ImuChannels:
     """
     found: dict[str, list[tuple[str, Channel]]] = {"gyro": [], "accelerometer": []}
     for signal, unit in sorted(units_of_measure.items()):
-        match = _AXIS.search(signal.lower())
-        if match is None or signal.lower().startswith(("table", "reference", "input", "vibration")):
+        axis = signal_axis(signal)
+        if axis is None or signal.lower().startswith(("table", "reference", "input", "vibration")):
             continue
         with suppress(UnknownUnit):
             if is_angular_rate(unit):
-                found["gyro"].append((match[1], Channel(signal, conversion(unit, "rad/s")[0])))
+                found["gyro"].append((axis, Channel(signal, conversion(unit, "rad/s")[0])))
             else:
-                found["accelerometer"].append((match[1], Channel(signal, conversion(unit, "m/s^2")[0])))
+                found["accelerometer"].append((axis, Channel(signal, conversion(unit, "m/s^2")[0])))
     sensors = [_of_axes(kind, channels, units_of_measure) for kind, channels in found.items()]
     return ImuChannels(*sensors)
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stream.channel_names import signal_axis
 from stream.terminal.console import DEFAULT_STORE, counted, notes, results
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def _report_next(imported: "FileImport", folder: Path) -> None:
 
     if not imported.steps and not _has_steps(imported, folder):
         rates = {each.signal.lower() for each in imported.signals if is_angular_rate(each.unit_of_measure)}
-        axes = {rate[-1] for rate in rates}.intersection("xyz")
+        axes = {signal_axis(rate) for rate in rates} - {None}
         position = "Z_up" if len(axes) > 1 else "IRA_up"  # of several axes IRA would not say which one
         notes().print(
             "No step says what was measured, so there are no characteristics of it: give the same command again with "

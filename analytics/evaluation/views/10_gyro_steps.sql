@@ -13,6 +13,8 @@ create or replace macro no_scale_factor(unit_of_measure) as
 
 create or replace view internal.gyro_steps as
 select s.*, r.deg_per_h as rate_factor,
+  body_axis_of(s.signal, min(s.signal) over (partition by s.run, s.unit) = max(s.signal) over (partition by s.run, s.unit))
+    as body_axis,
   case when r.deg_per_h is null then s.unit_of_measure else 'deg/s' end as output_unit
 from step_means s left join internal.rate_units r using (unit_of_measure)
 where is_output_name(s.signal) or (r.deg_per_h is not null and not is_instrument_name(s.signal));

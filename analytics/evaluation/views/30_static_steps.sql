@@ -15,7 +15,7 @@ with moving as (
   from rate_steps
 ), turning as (
   select *, bool_or(moves) over (partition by run, unit, signal, "procedure") as turns,
-    list_sort(list(distinct body_axis_of(signal)) over (partition by run, unit, "index")) as axes
+    list_sort(list(distinct coalesce(named_axis_of(signal), 'unnamed')) over (partition by run, unit, "index")) as axes
   from moving
 ), placed as (
   select * exclude (axes),
@@ -30,12 +30,13 @@ select * exclude (moves) replace (
     if(is_no_noise, null, freedom_10s) as freedom_10s, if(is_no_noise, null, freedom_100s) as freedom_100s),
   mean * deg_per_h as mean_deg_per_h,
   case when not is_no_noise then nullif(standard_uncertainty, 0) * abs(deg_per_h) end as u_deg_per_h,
-  case when several_axes is null then earth_projection(position, latitude_deg, signal) end as earth_deg_per_h,
+  case when several_axes is null then earth_projection(position, latitude_deg, body_axis) end as earth_deg_per_h,
   -- the position tells how the Earth's rate enters, the latitude how much
-  several_axes is null and earth_projection(position, 45, signal) is not null as is_attitude_known,
+  several_axes is null and earth_projection(position, 45, body_axis) is not null as is_attitude_known,
+  body_axis is null and axis_in(position) is not null and side_in(position) is not null as lacks_body_axis,
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
 from placed
 where not moves;
 
 create or replace view static_steps as
-select * exclude (turns, several_axes, is_no_noise) from internal.still_steps where n > 0;
+select * exclude (turns, several_axes, is_no_noise, lacks_body_axis) from internal.still_steps where n > 0;

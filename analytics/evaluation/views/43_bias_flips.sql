@@ -47,7 +47,7 @@ with flip as (
     side_in(position) as g
   from internal.classed_still_steps where phase is null
 ), side as (
-  select run, unit, signal, "procedure", repeat, warmth, flipped, g,
+  select run, unit, signal, body_axis, lacks_body_axis, "procedure", repeat, warmth, flipped, g,
     round(avg(temperature_command), 1) as temperature_command,
     count(*) filter (n = 0 or deg_per_h is null) as unknown,
     any_value(unit_of_measure) as unit_of_measure, any_value(scale_source) as scale_source,
@@ -69,7 +69,7 @@ with flip as (
     sum(n)::bigint as n, list_sort(flatten(list(steps order by g))) as steps,
     any_value(scale_source) as scale_source,
     temperatures_remark(min(coldest), max(warmest)) as remark,
-    flipped = 'IRA' or coalesce(flipped = body_axis_of(signal), false) as is_input,
+    flipped = 'IRA' or case when lacks_body_axis then null else coalesce(flipped = body_axis, false) end as is_input,
     case when is_input then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
     case
       when not bool_and(is_scaled) then no_scale_factor(any_value(unit_of_measure))
@@ -78,25 +78,26 @@ with flip as (
         || case when max(g) = 1 then 'up' else 'down' end || ', the clause asks for up and down'
     end as lack
   from side
-  group by run, unit, signal, "procedure", repeat, warmth, flipped
+  group by run, unit, signal, body_axis, lacks_body_axis, "procedure", repeat, warmth, flipped
 ), whole as (
   select *,
     list(axis) over test as axes,
     list(axis) filter (not is_input) over test as level,
-    case when is_input then coalesce(printf('%.4g', earth), 'up to ' || printf('%.4g', earth_rate_deg_per_h()))
-      || ' deg/h/g' end as earth_rate_in_it
+    case when coalesce(is_input, true) then coalesce(printf('%.4g', earth), 'up to ' || printf('%.4g', earth_rate_deg_per_h()))
+      || ' deg/h/g' end as earth_rate_in_it,
+    case when is_input is null then no_body_axis() when is_input and earth is null then no_latitude() end as not_removable
   from pair
   window test as (partition by run, unit, signal, "procedure", repeat, warmth
     order by axis rows between unbounded preceding and unbounded following)
 )
 select run, unit, signal, "procedure", repeat, warmth, temperature_command,
-  nullif(concat_ws('; ', remark, case when is_input and earth is null then 'the Earth''s rate is in it, '
-    || earth_rate_in_it || ', so that it has no interval: ' || no_latitude() end), '') as remark,
-  axis, axes, level, half, half as raw, case when not is_input or earth is not null then u end as u, freedom, n, steps,
+  nullif(concat_ws('; ', remark, case when not_removable is not null then 'the Earth''s rate is in it, '
+    || earth_rate_in_it || ', so that it has no interval: ' || not_removable end), '') as remark,
+  axis, axes, level, half, half as raw, case when not_removable is null then u end as u, freedom, n, steps,
   scale_source, lack, 'none' as earth_rate, earth_rate_in_it
 from whole
 union all
 select run, unit, signal, "procedure", repeat, warmth, temperature_command, remark, axis, axes, level,
   half - coalesce(earth, 0), half, u, freedom, n, steps, scale_source,
-  coalesce(lack, case when is_input and earth is null then no_latitude() end), 'removed', null
+  coalesce(lack, not_removable), 'removed', null
 from whole where len(level) < len(axes) or level is null;

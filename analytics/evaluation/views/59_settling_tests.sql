@@ -17,8 +17,8 @@ select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate
   coalesce(case when s.is_rate then coalesce(s.rate_factor, 3600) / f.value end, s.deg_per_h) as deg_per_h,
   case when not s.is_rate then 0 when f.value is not null then s.input_rate * 3600 end
     -- the axis of a rate table stands upright
-    + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg, s.signal)
-      else earth_projection(s.position, s.latitude_deg, s.signal) end + z.bias as expected,
+    + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg, s.body_axis)
+      else earth_projection(s.position, s.latitude_deg, s.body_axis) end + z.bias as expected,
   z.u_deg_per_h as expected_u, z.run as zero_run
 from test s
 join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal

@@ -8,15 +8,13 @@ import numpy as np
 
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
+from stream.channel_names import signal_axis
 
 _OF_INPUT_AXIS = {"up": 1.0, "down": -1.0}
 _HORIZONTAL = frozenset({"east_west", "east", "west", "north", "south", "horizontal"})
 _FAR_NS = 2**62
 _AXES = frozenset("XYZ")
 _OTHERS_OF_GYRO = frozenset({"OA", "SA"})
-_RATE_WORDS = "rate|gyro|gyr|omega|velocity|vel|spin|turn"
-_LETTER_APART = re.compile(r"(?:^|_)([xyz])(?=_|$)")
-_LETTER_JOINED = re.compile(rf"(?:(?:{_RATE_WORDS}|^w|_w)([xyz])(?=_|$))|(?:(?:^|_)([xyz])(?={_RATE_WORDS}))")
 _AXIS_WORD = re.compile(
     r"(?P<before>[+-]?)(?:axis_)?(?P<name>[xyz]|i|ia|ira|input|o|oa|ora|output|s|sa|sra|spin)(?:_axis)?(?P<after>[+-]?)"
 )
@@ -49,18 +47,6 @@ def position_numbers(catalog: Catalog) -> dict[str, float]:
     """A number for each position word anywhere in the store, in the order of the words."""
     rows = catalog.rows("select distinct position from steps where position is not null order by 1")
     return {str(word): float(number) for number, (word,) in enumerate(rows, 1)}
-
-
-def signal_axis(signal: str) -> str | None:
-    """Axis of its device that a signal belongs to: ``x``, ``y`` or ``z``; None where its name does not say.
-
-    >>> [signal_axis(name) for name in ("rate_x", "angularratey", "gyro_z_filtered", "xrate", "rate", "temperature")]
-    ['x', 'y', 'z', 'x', None, None]
-    """
-    name = signal.lower()
-    found = {letter for match in _LETTER_APART.finditer(name) for letter in match.groups()}
-    found = found or {letter for match in _LETTER_JOINED.finditer(name) for letter in match.groups() if letter}
-    return found.pop() if len(found) == 1 else None
 
 
 def turned_about(axis: str | None, signal: str) -> float | None:
