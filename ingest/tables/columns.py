@@ -5,14 +5,12 @@ row holds, the step words in which step it lies. Titles of other programs, ``Gyr
 ``Time (s)``, are understood: blanks in such a name become ``_``, and it is then written in lower case.
 """
 
-import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import lru_cache
 from pathlib import Path
 
 import msgspec
@@ -21,25 +19,28 @@ from ingest.tables.rows import Room
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
 from ingest.tables.timing.dated_clocks import DatedClock, find_dated_clock, why_no_moment
+from ingest.tables.timing.plain_times import excel_days, what_times_hold
+from ingest.tables.titles import (
+    SQUARE,
+    how_to_name,
+    is_misread_unit,
+    is_time_name,
+    is_usable,
+    plain_letters,
+    title_parts,
+    usable_name,
+)
 from ingest.tables.units import column_unit, is_temperature, time_unit
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 from stream.events import StepWords
 from stream.identity import check_name
 
-_TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
-_ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
-_LOOKS_LIKE_TIME = frozenset({
-    "t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime", "zeit", "zeitstempel",
-})  # fmt: skip
-_CHINESE_TIMES = frozenset({"时间", "时刻", "时间戳", "采样时间", "记录时间", "日期时间", "日期", "相对时间"})
-_SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([^\[\]]+?)\s*")  # 量/单位, GB/T 3101
-_FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
 _TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(陀螺|产品)?温度")
 _LARGE_SECONDS = re.compile("[MG]s(ec)?")  # megaseconds, where milliseconds are meant
+_S_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _MOST_PROBLEMS = 8  # in one error
-_SQUARE = "name it like 'rate[deg/s]'"
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,17 @@ def read_header(
     durations: Mapping[str, str] | None = None,
     unsuited: Mapping[str, str] | None = None,
     first: Mapping[str, str] | None = None,
+    sample: Callable[[str], Sequence[str]] = lambda _: (),
 ) -> Columns:
     """Find the meaning of columns; raises BadInput if titles break the contract.
 
     `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each;
     `unsuited` of columns that are neither times nor numbers, with what they hold; `first` are the first cells of a text
-    table.
+    table, `sample` gives the first cells of one of its columns.
     """
     try:
         _refuse_repeated("column", titles)
-        reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {}, first or {})
+        reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {}, first or {}, sample)
         _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated_signals(columns.signals)
@@ -175,38 +177,38 @@ def _refuse_repeated_signals(signals: Sequence[SignalColumn]) -> None:
 class _HeaderReader:
     def __init__(
         self, titles: Sequence[str], options: TableOptions, stamps: Collection[str], durations: Mapping[str, str],
-        unsuited: Mapping[str, str], first: Mapping[str, str],
+        unsuited: Mapping[str, str], first: Mapping[str, str], sample: Callable[[str], Sequence[str]],
     ) -> None:  # fmt: skip
         self.columns = Columns()
-        self._first = first
+        self._first, self._sample = first, sample
         self._stamps, self._durations, self._unsuited = stamps, durations, unsuited
         self._renames: dict[str, str] = {}
         for old, new in options.renames:
-            found = [title for title in titles if old in {title, _parts(title)[0]}]
+            found = [title for title in titles if old in {title, title_parts(title)[0]}]
             if len(found) != 1:
                 many = f"{len(found)} columns are called so" if found else f"the columns are {', '.join(titles)}"
                 raise BadInput(f"--rename {old!r}: {many}; give the title of one column")
             if self._renames.get(found[0], new) != new:
                 raise BadInput(f"--rename {old!r}: given twice, as {self._renames[found[0]]!r} and {new!r}; give one")
             self._renames[found[0]] = new
-        names = {title: _parts(self._renames.get(title, title))[0] for title in titles}
+        names = {title: title_parts(self._renames.get(title, title))[0] for title in titles}
         self._dated_clock = find_dated_clock(names, first)
         # of `Time [s]`; beside others that may be the time, nobody knows
-        times = [title for title in titles if _is_time_name(_parts(title)[0])]
+        times = [title for title in titles if is_time_name(title_parts(title)[0])]
         self._only_time = times[0] if len(times) == 1 and not options.sample_rate_hz else None
 
     def add(self, title: str, number: int) -> None:
         if not title.strip():
-            raise BadInput(f"column {number} has no title; {_SQUARE} or remove it")
+            raise BadInput(f"column {number} has no title; {SQUARE} or remove it")
         if self._renames.get(title) == "":
             self.columns.remarks.append(f"column {title!r} is left out, as --rename says")
             return
         if self._dated_clock is not None and title in self._dated_clock:
             self._add_dated_clock(title, self._dated_clock)
             return
-        name, unit, is_foreign = _parts(title)
+        name, unit, is_foreign = title_parts(title)
         if title in self._renames:
-            name, new_unit, _ = _parts(self._renames[title])
+            name, new_unit, _ = title_parts(self._renames[title])
             if None not in (unit, new_unit) and unit != new_unit:
                 self.columns.remarks.append(
                     f"warning: column {title!r}: its numbers are taken as {new_unit}, as --rename says, and are not "
@@ -214,7 +216,7 @@ class _HeaderReader:
                 )
             unit, is_foreign = unit if new_unit is None else new_unit, False
             unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
-        is_time = _is_time_name(name)
+        is_time = is_time_name(name)
         is_stamp = title in self._stamps
         is_typed = is_stamp or title in self._durations
         lacking = None if name in {"unit", "run"} | WORD_NAMES else why_no_moment(self._first.get(title, ""))
@@ -232,7 +234,8 @@ class _HeaderReader:
             raise BadInput(self._not_suited(title, is_time=is_time))
         elif unit is None or not name:
             held = "time stamps" if is_stamp else "durations" if is_typed else ""
-            raise BadInput(_how_to_name(title, name, held))
+            found = what_times_hold(title, self._sample(title)) if is_time and not held else None
+            raise BadInput(how_to_name(title, name, held) if found is None else self._holds(title, found))
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
 
@@ -254,7 +257,7 @@ class _HeaderReader:
             raise BadInput(self._not_suited(title, is_time=True))
         if is_stamp:
             self.columns.time = TimeColumn(title, 1, is_stamp=True)
-            if unit is not None and _plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
+            if unit is not None and plain_letters(unit) not in _STAMP_UNITS and not is_foreign:
                 self.columns.remarks.append(f"column {title!r} holds time stamps; its unit [{unit}] is ignored")
             return
         if (own := self._durations.get(title)) is not None:
@@ -262,16 +265,28 @@ class _HeaderReader:
             if unit is not None and time_unit(unit) != own:
                 self.columns.remarks.append(f"column {title!r} holds durations, in {own}; its unit [{unit}] is ignored")
             return
+        self.columns.time = self._numbers_of_time(title, unit)
+
+    def _numbers_of_time(self, title: str, unit: str | None) -> TimeColumn:
         if unit is None:
+            if (found := what_times_hold(title, self._sample(title))) is not None:
+                raise BadInput(self._holds(title, found))
             raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
         if _LARGE_SECONDS.fullmatch(unit.strip()):
             raise BadInput(f"column {title!r}: {unit.strip()} are 1e6 or 1e9 seconds; write 'ms', or 's'")
-        if _plain_letters(unit) in _STAMP_UNITS:
+        if plain_letters(unit) in _STAMP_UNITS:
             raise BadInput(f"column {title!r} begins with no time stamp, like 2026-11-21T18:00:00.5Z")
         try:
-            self.columns.time = TimeColumn(title, ns_per_unit(time_unit(unit)))
+            ns = ns_per_unit(time_unit(unit))
         except BadInput as error:
             raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
+        if ns in (_S_NS, _DAY_NS) and (found := excel_days(self._sample(title), in_days=ns == _DAY_NS)) is not None:
+            raise BadInput(self._not_as_moment(title, found))
+        return TimeColumn(title, ns)
+
+    @staticmethod
+    def _holds(title: str, found: str) -> str:
+        return f"column {title!r} has no unit, and holds {found}; to leave it out: --rename '{title}='"
 
     @staticmethod
     def _not_as_moment(title: str, lacking: str) -> str:
@@ -293,18 +308,23 @@ class _HeaderReader:
         setattr(self.columns, name, title)
 
     def _add_signal(self, title: str, name: str, unit: str, *, is_foreign: bool) -> None:
+        if is_foreign and is_misread_unit(title, name, unit):
+            raise BadInput(
+                f"column {title!r} reads as {name!r} in {unit}, a unit of time, and is no time: give its unit, as "
+                f"--rename '{title}={usable_name(name)}[deg/h]', or leave it out: --rename '{title}='"
+            )
         is_foreign = is_foreign or re.search(r"\s", name) is not None
         signal = re.sub(r"[\s/*$?#]+", "_", name).strip("_.@").lower() if is_foreign else name
         is_standard = name.lower() in STANDARD_CHANNELS and name not in STANDARD_CHANNELS and title not in self._renames
         signal = name.lower() if is_standard else signal
         try:
-            if is_standard or (is_foreign and name != signal and not _is_usable(name)):
+            if is_standard or (is_foreign and name != signal and not is_usable(name)):
                 self.columns.remarks.append(f"column {title!r} is signal {check_name('signal', signal)}")
             else:
                 signal = check_name("signal", name)
             measure, remark = column_unit(unit, signal)
         except BadInput as error:
-            hint = "" if _is_usable(name) else f"; or give --rename '{title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}'"
+            hint = "" if is_usable(name) else f"; or give --rename '{title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}'"
             raise type(error)(f"column {title!r}: {error}{hint}") from error
         if remark:
             is_warning = remark.startswith("warning: ")
@@ -318,80 +338,18 @@ class _HeaderReader:
         self.columns.signals.append(SignalColumn(title, signal, measure))
 
 
-@lru_cache(maxsize=4096)  # files of one command have the same titles
-def _parts(title: str) -> tuple[str, str | None, bool]:
-    """Name and unit of a title, and whether its unit is in round brackets, as other programs write it."""
-    title = title.translate(_FULL_WIDTH)
-    if match := _ROUND_TITLE.fullmatch(title) or _SLASH_TITLE.fullmatch(title):
-        return match[1], match[2], True
-    match = _TITLE.fullmatch(title)
-    return (match[1], match[2], False) if match else ("", None, False)
-
-
-def _plain_letters(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", text.lower())
-
-
-@lru_cache(maxsize=4096)
-def _is_time_name(name: str) -> bool:
-    return _plain_letters(name) in _LOOKS_LIKE_TIME or name.strip() in _CHINESE_TIMES
-
-
 def _is_of_time(unit: str | None) -> bool:
     try:
-        return unit is not None and (_plain_letters(unit) in _STAMP_UNITS or ns_per_unit(time_unit(unit)) > 0)
+        return unit is not None and (plain_letters(unit) in _STAMP_UNITS or ns_per_unit(time_unit(unit)) > 0)
     except BadInput:
         return False
-
-
-def _is_usable(name: str) -> bool:
-    try:
-        check_name("signal", name)
-    except BadInput:
-        return False
-    return True
-
-
-def _usable(name: str) -> str:
-    """A name that a signal may have."""
-    return re.sub(r"[^\w]+", "_", name).strip("_") or "signal"
-
-
-def _how_to_name(title: str, name: str, held: str = "") -> str:
-    """What to do with a column without a usable title; `held` are the time stamps or durations in it."""
-    if held:
-        return f"column {title!r} holds {held}: give --rename '{title}=time', or leave it out: --rename '{title}='"
-    if not name:
-        return f"column {title!r} cannot be read; {_SQUARE}"
-    if _is_number(name):
-        return f"column {title!r} is a number: the first line must be the header, like 'time[s],rate[deg/s]'"
-    if _is_time_name(name):
-        return (
-            f"column {title!r} has no unit; if it is the time, give it in seconds and name it 'time[s]', "
-            f"or as ISO 8601 time stamps, like 2026-11-21T18:00:00.5Z"
-        )
-    near = difflib.get_close_matches(name.lower(), [*WORD_NAMES, "unit", "run"], n=1, cutoff=0.8)
-    hint = f" (or did you mean {near[0]!r}?)" if near else ""
-    return (
-        f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}; "
-        f"without changing the file: --rename '{title.strip()}={_plain_letters(name) or _usable(name)}[1]'; "
-        f"to leave it out: --rename '{title.strip()}='"
-    )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptions) -> None:
     if not columns.signals:
         raise BadInput("no column holds a signal; name at least one like 'rate[deg/s]'")
     if columns.time is None and options.sample_rate_hz is None:
-        near = [title for title in titles if _is_time_name(_parts(title)[0]) or _is_of_time(_parts(title)[1])]
+        near = [title for title in titles if is_time_name(title_parts(title)[0]) or _is_of_time(title_parts(title)[1])]
         hint = f" ({near[0]!r} is not it: rename it, as with --rename '{near[0]}=time')" if near else ""
         raise BadInput(f"no column 'time[s]' or 'time[ns]'{hint}; add one, or give --sample-rate")
     if columns.time is not None and options.sample_rate_hz is not None:

@@ -41,7 +41,7 @@ class CsvTable:
         self._is_gb18030 = False
         self._dialect = self._find_dialect()
         self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
-        self.first_cells = self._dialect.first_cells
+        self.first_cells, self.sample_cells = self._dialect.first_cells, self._dialect.sample_cells
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         self.duration_units: dict[str, str] = {}
         self.unsuited: dict[str, str] = {}

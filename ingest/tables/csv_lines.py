@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, islice
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _BLANKS = re.compile(rb"[ \t]+")
 _MARGINS = re.compile(rb"(?m)^ | (?=\r?$)")
 _BLANK_TITLE = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 _BLANK = " \t"
+_SAMPLE_CELLS = 40
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
 _HUNDREDS = re.compile(r"[+-]?[1-9][0-9]{2}")
 _RANGE = "a time within 146 years of 1970 (or of the run's start)"
@@ -60,6 +61,11 @@ class Dialect:
     def first_cells(self) -> dict[str, str]:
         """Cells of the first row by title."""
         return dict(zip(self.titles, next(self._sample_cells(), ()), strict=False))
+
+    def sample_cells(self, title: str) -> list[str]:
+        """First cells of a column."""
+        at = self.titles.index(title)
+        return [cells[at] for cells in islice(self._sample_cells(), _SAMPLE_CELLS) if len(cells) > at]
 
     def has_zone(self, time: TimeColumn) -> bool | None:
         """Whether the first time stamp of the column names a zone; None if there is none."""

@@ -1,6 +1,6 @@
 """Parquet files, some rows at a time."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,7 @@ class ParquetTable:
         if self._rows == 0:
             raise BadInput(f"{path}: no rows; nothing to import")
         self.first_cells: dict[str, str] = {}  # text is no time in these files
+        self.sample_cells: Callable[[str], Sequence[str]] = lambda _: ()
         self._time_zone = "UTC"
         self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self.titles), 1)))
         whole = (title for title, kind in self._types.items() if pa.types.is_integer(kind) or pa.types.is_boolean(kind))

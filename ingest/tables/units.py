@@ -37,13 +37,17 @@ _UNITS |= {
     "度": "deg", "度/秒": "deg/s", "度/s": "deg/s", "deg/秒": "deg/s", "度/小时": "deg/h", "度/时": "deg/h",
     "度/h": "deg/h", "deg/小时": "deg/h", "deg/时": "deg/h", "摄氏度": "degC", "秒": "s", "毫秒": "ms", "微秒": "us",
     "分": "min", "分钟": "min", "小时": "h", "伏": "V", "毫伏": "mV", "安": "A", "毫安": "mA", "脉冲": "count",
-    "脉冲数": "count", "个": "count", "pulse": "count", "pulses": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s",
-    "pulse/s": "count/s", "pulses/s": "count/s", "转/分": "rpm", "r/min": "rpm", "角秒": "arcsec", "角分": "arcmin",
+    "脉冲数": "count",
+    "个": "count", "pulse": "count", "pulses": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s",
+    "pulse/s": "count/s", "pulses/s": "count/s", "转/分": "rpm", "r/min": "rpm", "r/分": "rpm",
+    "转/分钟": "rpm", "转/秒": "turn/s", "r/s": "turn/s",
+    "角秒": "arcsec", "角分": "arcmin",
 }  # fmt: skip
 _GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
 _MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
 _GERMAN_DEGREE = re.compile("[Gg]rad(?![a-z])")  # pint reads Grad as gigaradian, grad as gradian
 _MOST_RATE_DEG_PER_S = 1e5  # of a unit of measure: more is a prefix in the wrong case
+_PER_TIME = ("m/s", "m/s^2", "count/s", "K/s")
 _RAW = ("1", "count", "V", "A", "Hz")
 _AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
 _EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -186,6 +190,24 @@ def known_unit(text: str) -> str:
         if plain not in _UNITS:
             raise
         return _UNITS[plain]
+
+
+def is_per_time(text: str) -> bool:
+    """Whether a text is a unit of what gyros, accelerometers and tables give in a time, such as an angular rate.
+
+    >>> [is_per_time(each) for each in ("deg/h", "r/min", "m/s", "m/s²", "脉冲/秒", "T/℃", "V/s", "s", "2 deg/s")]
+    [True, True, True, True, True, False, False, False, False]
+    """
+    try:
+        unit = known_unit(text)
+    except BadInput:
+        return False
+    return is_angular_rate(unit) or any(_converts(unit, each, result_factor) for each in _PER_TIME)
+
+
+def is_time_unit(text: str) -> bool:
+    """Whether a text is a unit of time."""
+    return _converts(time_unit(text), "s", result_factor)
 
 
 def time_unit(text: str) -> str:

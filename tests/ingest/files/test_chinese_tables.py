@@ -49,6 +49,76 @@ def test_titles_and_encodings(
     assert "temperature under the name temperature" in remarks  # it is not left out of the metrics in silence
 
 
+def test_a_unit_with_a_slash_needs_no_brackets(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    ends = {"陀螺输出 °/h": "°/h", "陀螺2 deg/s": "deg/s", "转速 r/min": "rpm", "加计输出 m/s": "m/s",
+            "X轴 度/小时": "deg/h", "角速率°/h": "°/h", "gyro output deg/s": "deg/s", "电压/V": "V",
+            "转速2/(°/s)": "°/s"}  # fmt: skip
+    write(tmp_path / "甲.csv", ["时间/s", *ends], [[str(at)] + [str(at % 7)] * len(ends) for at in range(9)])
+    done = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    assert done.code == 0, done.err
+    found = {each["signal"]: each["unit_of_measure"] for each in done.json["files"][0]["signals"]}
+    names = ["陀螺输出", "陀螺2", "转速", "加计输出", "X轴", "角速率", "gyro_output", "电压", "转速2"]
+    assert found == dict(zip(names, ends.values(), strict=True))
+
+
+def test_a_unit_of_time_on_what_is_no_time_is_refused(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    write(tmp_path / "甲.csv", ["时间/s", "陀螺输出/h"])
+    words = ("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    refused = gyrofleet(*words)
+    assert refused.code != 0
+    remedy = "陀螺输出/h=陀螺输出[deg/h]"
+    assert "a unit of time, and is no time" in refused.err + refused.out
+    assert f"--rename '{remedy}'" in refused.err + refused.out
+    done = gyrofleet(*words, "--rename", remedy)
+    assert [each["unit_of_measure"] for each in done.json["files"][0]["signals"]] == ["deg/h"]
+
+
+@pytest.mark.parametrize(
+    ("step_s", "decimals", "title"),
+    [(1, 9, "时间"), (1, 9, "时间(s)"), (0.01, 10, "t[s]"), (60, 6, "时间(s)"), (3600, 5, "时间(d)")],
+)
+@pytest.mark.in_gate("1-9-时间(s)")
+def test_days_of_excel_are_no_seconds(
+    step_s: float, decimals: int, title: str, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    days = [46329 + (29_100 + at * step_s) / 86_400 for at in range(60)]
+    write(
+        tmp_path / "甲.csv",
+        [title, "角速率(°/h)"],
+        [[f"{day:.{decimals}f}", str(at % 5)] for at, day in enumerate(days)],
+    )
+    refused = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S")
+    assert refused.code != 0
+    assert "days as Excel counts them: in Excel, format the column as yyyy-mm-dd hh:mm:ss.000" in refused.err
+
+
+@pytest.mark.parametrize("step_s", [0.0001, 0.000125, 0.0025, 0.01, 1 / 60, 1.0, 10.0])
+@pytest.mark.in_gate("0.0025")
+def test_seconds_of_a_day_are_no_days(step_s: float, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    rows = [[f"{46_329.0 + at * step_s:.7f}", str(at % 5)] for at in range(60)]
+    write(tmp_path / "甲.csv", ["时间(s)", "角速率(°/h)"], rows)
+    done = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S")
+    assert done.code == 0, done.err
+
+
+@pytest.mark.parametrize(
+    ("cell", "says"),
+    [
+        ("{at}", "--rename '时间=time[s]'"),
+        ("202611030805{at:02d}", "write it as 2026-11-03 08:05:00"),
+        ("05:{at:02d}.0", "minutes and seconds without their hour"),
+        ("46329.3368{at:05d}", "days as Excel counts them"),
+    ],
+)
+def test_a_time_without_unit_gets_the_remedy_for_what_it_holds(
+    cell: str, says: str, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    write(tmp_path / "甲.csv", ["时间", "角速率(°/h)"], [[cell.format(at=at), str(at % 5)] for at in range(50)])
+    refused = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S")
+    assert refused.code != 0
+    assert says in refused.err
+
+
 def test_time_stamps_under_a_chinese_title(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     rows = [[f"2026-11-28 08:00:{at // 10:02d}.{at % 10}", str(at % 5)] for at in range(300)]
     write(tmp_path / "甲.csv", ["时间", "角速率(°/h)"], rows)
