@@ -26,6 +26,7 @@ from ingest.tables.titles import (
     is_misread_unit,
     is_time_name,
     is_usable,
+    no_samples,
     plain_letters,
     title_parts,
     usable_name,
@@ -102,6 +103,7 @@ class Columns:
     run: str | None = None
     words: list[WordColumn] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    blank: list[str] = field(default_factory=list)
 
     @property
     def text_titles(self) -> list[str]:
@@ -124,16 +126,19 @@ def read_header(
     unsuited: Mapping[str, str] | None = None,
     first: Mapping[str, str] | None = None,
     sample: Callable[[str], Sequence[str]] = lambda _: (),
+    blank: Collection[str] = (),
 ) -> Columns:
     """Find the meaning of columns; raises BadInput if titles break the contract.
 
     `stamps` are titles of columns of time stamps, `durations` of columns of durations, with the unit of each;
     `unsuited` of columns that are neither times nor numbers, with what they hold; `first` are the first cells of a text
-    table, `sample` gives the first cells of one of its columns.
+    table, `sample` gives the first cells of one of its columns;
+    `blank` are names of columns without title and cells.
     """
     try:
         _refuse_repeated("column", titles)
         reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {}, first or {}, sample)
+        reader.columns.blank.extend(blank)
         _add_all(reader, titles)
         columns = reader.columns
         _refuse_repeated_signals(columns.signals)
@@ -200,8 +205,8 @@ class _HeaderReader:
     def add(self, title: str, number: int) -> None:
         if not title.strip():
             raise BadInput(f"column {number} has no title; {SQUARE} or remove it")
-        if self._renames.get(title) == "":
-            self.columns.remarks.append(f"column {title!r} is left out, as --rename says")
+        if (why := self._why_left_out(title, number)) is not None:
+            self.columns.remarks.append(why)
             return
         if self._dated_clock is not None and title in self._dated_clock:
             self._add_dated_clock(title, self._dated_clock)
@@ -238,6 +243,16 @@ class _HeaderReader:
             raise BadInput(how_to_name(title, name, held) if found is None else self._holds(title, found))
         else:
             self._add_signal(title, name, unit, is_foreign=is_foreign)
+
+    def _why_left_out(self, title: str, number: int) -> str | None:
+        """Why a column is no part of the import, if so."""
+        if self._renames.get(title) == "":
+            return f"column {title!r} is left out, as --rename says"
+        if title in self.columns.blank:
+            return f"column {number} has no title and no cells: it is left out"
+        name, unit, _ = title_parts(title)
+        why = no_samples(name, lambda: self._sample(title)) if title not in self._renames and unit is None else None
+        return None if why is None else f"column {title!r} {why}: it is left out"
 
     def _add_dated_clock(self, title: str, found: DatedClock) -> None:
         lacking = why_no_moment(self._first[title], has_date=True)
@@ -280,8 +295,11 @@ class _HeaderReader:
             ns = ns_per_unit(time_unit(unit))
         except BadInput as error:
             raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
-        if ns in (_S_NS, _DAY_NS) and (found := excel_days(self._sample(title), in_days=ns == _DAY_NS)) is not None:
-            raise BadInput(self._not_as_moment(title, found))
+        if ns in (_S_NS, _DAY_NS):
+            first = self._first.get(title, "")
+            found = excel_days(first, lambda: self._sample(title), in_days=ns == _DAY_NS)
+            if found is not None:
+                raise BadInput(self._not_as_moment(title, found))
         return TimeColumn(title, ns)
 
     @staticmethod
@@ -324,7 +342,7 @@ class _HeaderReader:
                 signal = check_name("signal", name)
             measure, remark = column_unit(unit, signal)
         except BadInput as error:
-            hint = "" if is_usable(name) else f"; or give --rename '{title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}'"
+            hint = "" if is_usable(name) else f"; or give --rename '{title}={usable_name(name)}'"
             raise type(error)(f"column {title!r}: {error}{hint}") from error
         if remark:
             is_warning = remark.startswith("warning: ")

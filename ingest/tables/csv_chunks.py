@@ -13,6 +13,7 @@ from pyarrow import csv as arrow_csv
 from ingest.tables.columns import Columns
 from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, usual_lines, without_blanks
 from ingest.tables.encodings import how_to_convert, utf16_of
+from ingest.tables.number_cells import WIDE_MARKS, narrow_numbers, no_number
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from ingest.tables.timing.dated_clocks import joined_cells
@@ -38,13 +39,15 @@ class CsvTable:
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:
         self._path, self._block_bytes = path, block_bytes
         self._size = max(path.stat().st_size, 1)
-        self._is_gb18030 = False
+        self._is_gb18030 = self._has_wide_numbers = False
         self._dialect = self._find_dialect()
         self.titles, self.stamp_titles = self._dialect.titles, self._dialect.stamp_titles
         self.first_cells, self.sample_cells = self._dialect.first_cells, self._dialect.sample_cells
         self.integer_titles: frozenset[str] = frozenset()  # no column of a text file has a type
         self.duration_units: dict[str, str] = {}
-        self.unsuited: dict[str, str] = {}
+        cells, mark = self.first_cells.items(), self._dialect.delimiter
+        self.unsuited = {title: held for title, cell in cells if (held := no_number(cell, mark))}
+        self.blank_titles = self._dialect.blank_titles
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
         self._comments = self._blank_line = 0
@@ -92,6 +95,8 @@ class CsvTable:
             )
         if self._is_gb18030:
             found.append("its text is read as GB18030 (GBK)")
+        if self._has_wide_numbers:
+            found.append("full-width digits and minus signs of numbers are read as usual ones")
         if self._has_stamps_without_zone:
             found.append(f"time stamps without a zone are taken as {self._time_zone}")
         return found
@@ -196,11 +201,19 @@ class CsvTable:
                     raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
                 self._is_gb18030 = True
             else:
-                return block
+                return self._narrow(block)
         try:
-            return block.decode("gb18030").encode()
+            return self._narrow(block.decode("gb18030").encode())
         except UnicodeDecodeError as error:
             raise self._not_text(line + block.count(b"\n", 0, error.start)) from error
+
+    def _narrow(self, block: bytes) -> bytes:
+        """Full-width digits and minus signs of numbers in ASCII."""
+        if not any(mark in block for mark in WIDE_MARKS):
+            return block
+        narrow = narrow_numbers(block.decode())
+        self._has_wide_numbers |= (written := narrow.encode()) != block
+        return written
 
     def _not_text(self, line: int) -> BadInput:
         advice = f"{how_to_convert(self._path, 'CP1252')} (CP1252 is that of Western Windows)"
@@ -284,6 +297,7 @@ class CsvTable:
     def _types(self, spare_digits: int) -> dict[str, pa.DataType]:
         types = dict.fromkeys(self._columns.text_titles, pa.dictionary(pa.int32(), pa.string()))
         types |= {signal.title: pa.float64() for signal in self._columns.signals}
+        types |= dict.fromkeys(self._columns.blank, pa.null())
         if (time := self._columns.time) is not None:
             exact = None if self._places is None else pa.decimal128(38, self._places + spare_digits)
             types[time.title] = pa.string() if time.is_stamp else exact or pa.float64()

@@ -34,19 +34,30 @@ def header_place(lines: Sequence[tuple[str, int]], written: Sequence[int]) -> tu
     delimiter = next((mark for mark in DELIMITERS if mark != "," and mark in row), ",")
     if delimiter not in row:
         return written[0], None
-    width = len(cells_of(row, delimiter))
-    alike = [at for at in range(first) if len(cells_of(lines[written[at]][0], delimiter)) == width]
+    of_row = cells_of(row, delimiter)
+    above = cells_of(lines[written[first - 1]][0], delimiter)
+    may_be_units = len(above) == len(of_row) and any(above) and all(map(_is_unit_cell, above))
+    alike = [at for at in range(first) if _is_as_wide(cells_of(lines[written[at]][0], delimiter), of_row)]
+    alike += [first - 1] if may_be_units and first - 1 not in alike else []  # the last columns may have no unit
     if not alike or alike[-1] != first - 1:
         return written[0], None
-    above = cells_of(lines[written[first - 1]][0], delimiter)
-    has_units = len(alike) > 1 and alike[-2] == first - 2 and any(above) and all(map(_is_unit_cell, above))
+    has_units = may_be_units and len(alike) > 1 and alike[-2] == first - 2
     header = first - 1 - has_units
-    titles = cells_of(lines[written[header]][0], delimiter)
+    titles = _without_empty_end(cells_of(lines[written[header]][0], delimiter))
     if header and ("[" in lines[written[0]][0] or any(is_row(cell) or not cell for cell in titles)):
         return written[0], None  # the first line has titles, and rows below it are not right
     if alike[0] < header or _has_rows(texts[:header]):
         return written[0], None
     return written[header], written[first - 1] if has_units else None
+
+
+def _is_as_wide(cells: Sequence[str], of_row: Sequence[str]) -> bool:
+    """Whether a line has as many cells as a row, and no more empty ones at its end: Excel writes short lines so."""
+    return len(cells) == len(of_row) and len(_without_empty_end(cells)) >= len(_without_empty_end(of_row))
+
+
+def _without_empty_end(cells: Sequence[str]) -> Sequence[str]:
+    return cells[: next((at for at in range(len(cells), 0, -1) if cells[at - 1]), 0)]
 
 
 def _first_row(texts: Sequence[str]) -> int:

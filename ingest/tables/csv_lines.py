@@ -17,6 +17,7 @@ from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
 from ingest.tables.timing.dated_clocks import joined
 from stream.batch import FloatArray
+from stream.errors import BadInput
 
 COMMENT = re.compile(rb"(?m)^#[^\n]*")
 
@@ -45,6 +46,7 @@ class Dialect:
     sample: tuple[str, ...]  # the first rows
     preamble: tuple[str, ...] = ()  # lines before the header that belong to no table
     has_unit_line: bool = False  # below the titles
+    blank_titles: frozenset[str] = frozenset()  # of the last columns, which have no title and no cells
 
     @property
     def has_rows(self) -> bool:
@@ -155,6 +157,11 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
             comments.pop()
     rows = tuple(lines[i][0] for i in written if i >= rows_at)
     delimiter = named[1] if named else max(DELIMITERS, key=header.count)
+    wide = next((mark for mark in "，；、" if mark in header and rows and mark in rows[0]), None)
+    if delimiter not in header and wide is not None:
+        raise BadInput(
+            f"its cells stand between {wide!r}, a separator of texts: replace it by a comma, as in Excel's CSV"
+        )
     titles = tuple(title.strip() for title in split_line(header, delimiter))
     if not any(mark in header for mark in DELIMITERS) and rows and len(rows[0].split()) > 1:
         by_blanks = tuple(title.strip() for title in _BLANK_TITLE.findall(header))
@@ -165,11 +172,28 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
     elif units_at is not None:  # it has other cells than titles: a row, which is not right
         rows_at = units_at
         units_at = None
+    titles, blank = _with_named_blanks(titles, rows, delimiter)
     return Dialect(
         titles, delimiter, first_line=rows_at + 1, first_byte=lines[rows_at - 1][1] if rows_at else 0,
         comments=len(comments), is_header_comment=is_header_comment, sample=rows,
-        preamble=preamble, has_unit_line=units_at is not None,
+        preamble=preamble, has_unit_line=units_at is not None, blank_titles=blank,
     )  # fmt: skip
+
+
+def _with_named_blanks(
+    titles: tuple[str, ...], rows: Sequence[str], delimiter: str
+) -> tuple[tuple[str, ...], frozenset[str]]:
+    """Titles, where the last are empty and their cells too with names in their place, and these names."""
+    if titles[-1] or not rows:
+        return titles, frozenset()
+    first = next((at for at in range(len(titles), 0, -1) if titles[at - 1]), 0)
+    cells = list(filter(None, (cells_of(row, delimiter) for row in rows[:_SAMPLE_CELLS])))
+    if not first or any("".join(row[first:]) for row in cells):
+        return titles, frozenset()
+    if all(len(row) == first for row in cells):  # the header alone has them
+        return titles[:first], frozenset()
+    named = tuple(f"(column {number})" for number in range(first + 1, len(titles) + 1))
+    return titles[:first] + named, frozenset(named)
 
 
 def usual_lines(begin: bytes, rows: int, *, is_whole: bool) -> list[tuple[str, int]]:
@@ -233,7 +257,7 @@ class LineReader:
         self._decimal_mark, self._time_zone = decimal_mark, time_zone
         self.has_zone: bool | None = None  # whether the time stamps name one; of the first row
         self._signals = {column.title: column.name for column in columns.signals}
-        self._texts = frozenset(columns.text_titles)
+        self._texts, self._blank = frozenset(columns.text_titles), frozenset(columns.blank)
         self._time_title = None if columns.time is None else columns.time.title
 
     def read(self, block: bytes, first_line: int, done: float) -> CellBlock:
@@ -262,6 +286,8 @@ class LineReader:
                         times_ns[row] = self._time_ns(title, cell.strip(_BLANK), cells)
                     elif title in values and cell.strip(_BLANK):
                         values[title][row] = self._finite(title, cell.strip(_BLANK))
+                    elif title in self._blank and cell.strip(_BLANK):
+                        raise BadCell(title, cell, "no cell in a column without a title")
                 except BadCell as bad:
                     sieve.refuse_one(row, bad.in_line(number))
         numbers = np.array([number for number, _ in lines], np.int64)

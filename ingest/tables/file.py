@@ -67,7 +67,7 @@ class TableFile:
         self._reader = _open(path)
         self._columns = read_header(
             path, self._reader.titles, options, self._reader.stamp_titles, self._reader.duration_units,
-            self._reader.unsuited, self._reader.first_cells, self._reader.sample_cells,
+            self._reader.unsuited, self._reader.first_cells, self._reader.sample_cells, self._reader.blank_titles,
         )  # fmt: skip
         self._reader.bind(self._columns, options.time_zone or "UTC")
         self._stamp = FileStamp(path)

@@ -41,6 +41,7 @@ class ParquetTable:
         if self._rows == 0:
             raise BadInput(f"{path}: no rows; nothing to import")
         self.first_cells: dict[str, str] = {}  # text is no time in these files
+        self.blank_titles: frozenset[str] = frozenset()
         self.sample_cells: Callable[[str], Sequence[str]] = lambda _: ()
         self._time_zone = "UTC"
         self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self.titles), 1)))

@@ -2,11 +2,11 @@
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 
 from ingest.tables.steps import WORD_NAMES
-from ingest.tables.units import is_per_time, is_time_unit
+from ingest.tables.units import expected_unit, is_per_time, is_time_unit, is_unit, known_unit, time_unit
 from stream.errors import BadInput
 from stream.identity import check_name
 
@@ -23,7 +23,13 @@ _UNIT_EDGE = re.compile(
     r"[\s：:]+|(?<=[\u4e00-\u9fff])(?=[^\u4e00-\u9fff\w\s：:/\[\]()]|[a-zA-Zµμ])|(?<=[\u4e00-\u9fff])(?<![角温速])(?=度[/每])"
 )
 _OF_TIME = re.compile("时|间隔|周期|延迟|time|delay|latency|duration|interval|period")
-_FULL_WIDTH = str.maketrans("（）［］【】／", "()[][]/")
+_FULL_WIDTH = str.maketrans({chr(code + 0xFEE0): chr(code) for code in range(0x21, 0x7F)} | {"【": "[", "】": "]"})
+_ROW_NUMBERS = frozenset({"序号", "行号", "点号", "采样序号", "样本序号", "no", "no.", "index"})
+_REMARKS = frozenset({"备注", "说明", "remark", "remarks"})
+_SERIALS = frozenset({
+    "产品编号", "编号", "产品序号", "序列号", "陀螺编号", "器件编号",
+    "serial", "serial number", "serial_number", "sn", "s/n",
+})  # fmt: skip
 
 
 @lru_cache(maxsize=4096)  # files of one command have the same titles
@@ -50,6 +56,20 @@ def _unit_ends(title: str) -> Iterator[tuple[str, str]]:
         name, end = edge.string[: edge.start()].strip(), edge.string[edge.end() :].strip()
         if name and end:
             yield name, end
+
+
+def no_samples(name: str, cells: Callable[[], Sequence[str]]) -> str | None:
+    """Why a column without a unit holds no samples, by its name and first cells: it numbers the rows, or has remarks.
+
+    >>> no_samples("序号", lambda: ["1"]), no_samples("备注", lambda: ["", "好"]), no_samples("备注", lambda: ["1.5"])
+    ('numbers the rows', 'holds remarks', None)
+    """
+    if name.lower() not in _ROW_NUMBERS | _REMARKS:
+        return None
+    written = [cell for cell in cells() if cell]
+    if name.lower() in _ROW_NUMBERS and written and all(cell.isdecimal() for cell in written):
+        return "numbers the rows"
+    return "holds remarks" if name.lower() in _REMARKS and not any(map(_is_number, written)) else None
 
 
 def is_misread_unit(title: str, name: str, unit: str) -> bool:
@@ -96,11 +116,26 @@ def how_to_name(title: str, name: str, held: str = "") -> str:
             f"column {title!r} has no unit; if it is the time, give it in seconds and name it 'time[s]', "
             f"or as ISO 8601 time stamps, like 2026-11-21T18:00:00.5Z"
         )
+    if name.lower() in _SERIALS:
+        return (
+            f"column {title!r} may say whose samples a row holds: give --rename '{title}=unit'; to leave it out: "
+            f"--rename '{title}='"
+        )
+    if (found := next((each for each in _unit_ends(title) if is_unit(each[1])), None)) is not None:
+        of_time = is_time_name(found[0])
+        unit = time_unit(found[1]) if of_time else known_unit(found[1])
+        proposed = f"{'time' if of_time else usable_name(found[0])}[{unit}]"
+        return (
+            f"column {title!r} has its unit without brackets: give --rename '{title}={proposed}'; to leave it out: "
+            f"--rename '{title}='"
+        )
     near = difflib.get_close_matches(name.lower(), [*WORD_NAMES, "unit", "run"], n=1, cutoff=0.8)
+    expected = expected_unit(name)
     hint = f" (or did you mean {near[0]!r}?)" if near else ""
+    signal = f"{plain_letters(name) if name.isascii() else usable_name(name)}[{expected or 1}]"
     return (
-        f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}; "
-        f"without changing the file: --rename '{title.strip()}={plain_letters(name) or usable_name(name)}[1]'; "
+        f"column {title!r} has no unit; name it like '{name}[{expected or 'deg/s'}]', or '{name}[1]' if it has none"
+        f"{hint}; without changing the file: --rename '{title.strip()}={signal}'; "
         f"to leave it out: --rename '{title.strip()}='"
     )
 

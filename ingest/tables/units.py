@@ -250,6 +250,13 @@ def _unexpected(unit: str, signal: str) -> str:
     return ""
 
 
+def expected_unit(signal: str) -> str:
+    """The unit that a signal of this name has as a rule; '' where none is usual, as of angular rates."""
+    of = (units[0] for pattern, _, units in _EXPECTED if re.fullmatch(f"(?:{pattern}){_AXIS}", signal.lower()))
+    found = next(of, "")
+    return "" if found == "deg/s" else found
+
+
 def _converts(source: str, target: str, convert: Callable[[str, str], object]) -> bool:
     try:
         convert(source, target)

@@ -1,7 +1,7 @@
 """What the cells of a column of times hold that are no time stamps: plain numbers, dates in digits, days of Excel."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from ingest.tables.times import NUMBER
@@ -10,32 +10,30 @@ _COMPACT = re.compile(
     r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])[0-5]\d(?:[0-5]\d(?:\.?\d{1,9})?)?", re.ASCII
 )
 _WITHOUT_HOUR = re.compile(r"\d{1,3}:[0-5]\d[.,]\d+", re.ASCII)
-_EXCEL_DAYS = (30_000.0, 60_000.0)  # 1982-02-18 to 2064-04-08
+_EXCEL_DAY = re.compile(r"[345]\d{4}(?:[.,]\d*)?", re.ASCII)  # 1982-02-18 to 2064-04-07
 _S_PER_DAY = 86_400
 _USUAL_STEPS_S = frozenset({*range(1, 11), 12, 15, 20, 30, 60, 120, 300, 600})
 _FORMAT = "in Excel, format the column as yyyy-mm-dd hh:mm:ss.000 and save the file again"
 
 
-def excel_days(cells: Sequence[str], *, in_days: bool = False) -> str | None:
+def excel_days(first: str, cells: Callable[[], Sequence[str]], *, in_days: bool = False) -> str | None:
     """The first cell and what to do, if the cells are moments as Excel counts them, in days from 1900; else None.
 
     Seconds of a day are numbers of the same size. Days are known by steps of a usual number of seconds, that as
     fractions of a day do not end after a few digits, or by steps below one second. With `in_days` the numbers are days
     by their title: then no step is needed, as counted from 1970 they would lie decades ahead.
 
-    >>> excel_days(["46329.336805556", "46329.336817130", "46329.336828704"])[:46]
+    >>> excel_days("46329.336805556", lambda: ["46329.336805556", "46329.336817130", "46329.336828704"])[:46]
     "'46329.336805556', days as Excel counts them: "
-    >>> excel_days(["46329.01", "46329.02", "46329.03"]), excel_days(["46329.000125", "46329.000250", "46329.000375"])
-    (None, None)
+    >>> excel_days("46329.01", lambda: ["46329.01", "46329.02", "46329.03"])
     """
-    written = [cell.replace(",", ".") for cell in cells if cell]
-    if not written or not all(NUMBER.fullmatch(cell) for cell in written):
+    if _EXCEL_DAY.fullmatch(first) is None:
         return None
-    days = [float(cell) for cell in written]
-    if not all(_EXCEL_DAYS[0] <= day <= _EXCEL_DAYS[1] for day in days):
+    written = [cell.replace(",", ".") for cell in cells() if cell]
+    if not all(map(_EXCEL_DAY.fullmatch, written)):
         return None
-    if in_days or _are_steps_of_days(written, days):
-        return f"{cells[0]!r}, days as Excel counts them: {_FORMAT}"
+    if in_days or _are_steps_of_days(written, [float(cell) for cell in written]):
+        return f"{first!r}, days as Excel counts them: {_FORMAT}"
     return None
 
 
@@ -66,7 +64,7 @@ def what_times_hold(title: str, cells: Sequence[str]) -> str | None:
         return f"{first!r}, a date without separators: write it as {'-'.join(parts[0])} {':'.join(parts[1])}"
     if _WITHOUT_HOUR.fullmatch(first):
         return f"{first!r}, minutes and seconds without their hour, as Excel shows times of day: {_FORMAT}"
-    if (found := excel_days(cells)) is not None:
+    if (found := excel_days(first, lambda: cells)) is not None:
         return found
     if NUMBER.fullmatch(first.replace(",", ".")):
         return f"plain numbers, as {first!r}: if seconds, give --rename '{title}=time[s]', if milliseconds, time[ms]"

@@ -119,6 +119,91 @@ def test_a_time_without_unit_gets_the_remedy_for_what_it_holds(
     assert says in refused.err
 
 
+def imported(gyrofleet: Callable[..., Any], path: Path, text: str, *words: str) -> tuple[dict[str, Any], str]:
+    """Signals of a file by name, and its remarks."""
+    path.write_bytes(text.encode("gb18030"))
+    done = gyrofleet("import", path.name, "--unit", "甲-1", "--store", "S", "--json", *words)
+    assert done.code == 0, done.err
+    (file,) = done.json["files"]
+    return {each["signal"]: each for each in file["signals"]}, " ".join(file["remarks"])
+
+
+def refusal(gyrofleet: Callable[..., Any], path: Path, text: str, *words: str) -> str:
+    path.write_bytes(text.encode("gb18030"))
+    refused = gyrofleet("import", path.name, "--unit", "甲-1", "--store", "S", *words)
+    assert refused.code != 0
+    return str(refused.err)
+
+
+TABLE = "时间(s),陀螺输出(°/h){end}\r\n" + "".join(f"{at},0.{at}{{end}}\r\n" for at in range(9))
+
+
+@pytest.mark.parametrize("lines", [
+    "产品编号：陀螺-甲-001,,\r\n采样周期：1s,,\r\n",
+    "产品编号,陀螺-甲-001,\r\n采样周期,1s,\r\n,,\r\n", "测试：李伟,,\r\n",
+])  # fmt: skip
+def test_lines_before_the_header_that_excel_filled_with_commas(
+    lines: str, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    signals, remarks = imported(
+        gyrofleet, tmp_path / "甲.csv", lines + TABLE.format(end=",25").replace("h),25", "h),温度(℃)")
+    )
+    assert signals.keys() == {"陀螺输出", "温度"}
+    assert "before the header left out" in remarks
+
+
+def test_columns_that_hold_no_samples_are_left_out_with_a_note(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    signals, remarks = imported(gyrofleet, tmp_path / "甲.csv", TABLE.format(end=",,"))
+    assert signals.keys() == {"陀螺输出"}
+    assert "column 3 has no title and no cells: it is left out" in remarks
+    text = "序号,时间(s),陀螺输出(°/h),备注\n" + "".join(
+        f"{at + 1},{at},0.{at},{'换班' * (at == 5)}\n" for at in range(9)
+    )
+    signals, remarks = imported(gyrofleet, tmp_path / "乙.csv", text)
+    assert signals.keys() == {"陀螺输出"}
+    assert "'序号' numbers the rows: it is left out" in remarks
+    assert "'备注' holds remarks: it is left out" in remarks
+    # a cell far below in a column without a title is no remark
+    late = TABLE.format(end=",") + "".join(f"{at},0.1,\r\n" for at in range(9, 99)) + "99,0.1,5\r\n"
+    assert "expected no cell in a column without a title" in refusal(gyrofleet, tmp_path / "丙.csv", late)
+
+
+@pytest.mark.parametrize(("title", "proposed"), [
+    ("时间 s", "time[s]"), ("光功率uW", "光功率[uW]"), ("温度℃", "温度[degC]"), ("温度", "温度[degC]"),
+    ("产品编号", "unit"),
+])  # fmt: skip
+def test_titles_get_proposals_that_work(
+    title: str, proposed: str, tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    rest = "" if title == "时间 s" else ",时间(s)"
+    text = f"{title},角速率(°/h){rest}\n" + "".join(f"{at},0.1{rest and f',{at}'}\n" for at in range(9))
+    assert f"--rename '{title}={proposed}'" in refusal(gyrofleet, tmp_path / "甲.csv", text)
+    (tmp_path / "甲.csv").write_text(text, encoding="utf-8")
+    of_unit = () if title == "产品编号" else ("--unit", "甲-1")
+    done = gyrofleet("import", "甲.csv", *of_unit, "--store", "S", "--rename", f"{title}={proposed}")
+    assert done.code == 0, done.err
+
+
+def test_numbers_in_full_width_characters_are_read(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    text = "时间（ｓ）,陀螺输出（°／ｈ）,电压(V)\n０,－０．５,−1.5\n１,０．５,1.5\n２,０．６,−2.5\n"
+    signals, remarks = imported(gyrofleet, tmp_path / "甲.csv", text)
+    assert signals.keys() == {"陀螺输出", "电压"}
+    assert "full-width digits and minus signs of numbers are read as usual ones" in remarks
+    found = gyrofleet(
+        "sql", "select signal, min(value) as least from samples group by signal order by 1", "--store", "S", "--json"
+    )
+    assert [row["least"] for row in found.json] == [-2.5, -0.5]
+
+
+def test_what_makes_cells_no_numbers_is_named(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    path = tmp_path / "甲.csv"
+    assert "cells stand between '，'" in refusal(gyrofleet, path, "时间(s)，角速率(°/h)\n0，1\n1，2\n")
+    held = refusal(gyrofleet, path, "时间(s),角速率\n0,0.3°/h\n1,0.4°/h\n")
+    assert "numbers with their unit, as '0.3°/h' (write the unit in the title, as [°/h])" in held
+    held = refusal(gyrofleet, path, '时间(s),角速率(脉冲)\n0,"1,234,603"\n1,"1,234,606"\n')
+    assert "numbers whose thousands are separated, as '1,234,603'" in held
+
+
 def test_time_stamps_under_a_chinese_title(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     rows = [[f"2026-11-28 08:00:{at // 10:02d}.{at % 10}", str(at % 5)] for at in range(300)]
     write(tmp_path / "甲.csv", ["时间", "角速率(°/h)"], rows)
@@ -133,11 +218,11 @@ def test_time_stamps_under_a_chinese_title(tmp_path: Path, gyrofleet: Callable[.
 
 
 def test_a_title_without_unit_gets_advice_that_works(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
-    write(tmp_path / "甲.csv", ["时间(s)", "角速率(°/h)", "序号"])
+    write(tmp_path / "甲.csv", ["时间(s)", "角速率(°/h)", "状态"])
     words = ("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
     refused = gyrofleet(*words)
     assert refused.code != 0
-    advice = "序号=序号[1]"
+    advice = "状态=状态[1]"
     assert f"--rename '{advice}'" in refused.err + refused.out
     assert gyrofleet(*words, "--rename", advice).code == 0
 
