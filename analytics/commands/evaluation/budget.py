@@ -83,8 +83,8 @@ def budget(
 def _print(
     unit: str, found: "ValueBudget", expanded: "Expanded | None", check: "Propagated | None", language: str
 ) -> None:
-    from analytics.evaluation.selection import with_year
     from analytics.evaluation.reasons import in_chinese
+    from analytics.evaluation.selection import with_year
     from analytics.evaluation.table import format_number, format_parameters
     from analytics.uncertainty.rounding import round_with
 

@@ -11,10 +11,15 @@ create or replace macro is_output_name(signal) as
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';
 
+-- The output that a signal is a form of: rate, rate_filtered and rate_compensated are one, gyro_1 and gyro_2 are two.
+create or replace macro internal.output_of(signal) as
+  rtrim(regexp_extract(lower(signal), '^[^_]*(?:_(?:[0-9]+|[a-z])(?:_|$))?'), '_');
+
 create or replace view internal.gyro_steps as
 select s.*, r.deg_per_h as rate_factor,
-  body_axis_of(s.signal, min(s.signal) over (partition by s.run, s.unit) = max(s.signal) over (partition by s.run, s.unit))
+  body_axis_of(s.signal, min(internal.output_of(s.signal)) over outputs = max(internal.output_of(s.signal)) over outputs)
     as body_axis,
   case when r.deg_per_h is null then s.unit_of_measure else 'deg/s' end as output_unit
 from step_means s left join internal.rate_units r using (unit_of_measure)
-where is_output_name(s.signal) or (r.deg_per_h is not null and not is_instrument_name(s.signal));
+where is_output_name(s.signal) or (r.deg_per_h is not null and not is_instrument_name(s.signal))
+window outputs as (partition by s.run, s.unit);

@@ -61,3 +61,20 @@ def test_an_axis_that_no_name_says_is_a_reason(tmp_path: Path, gyrofleet: Callab
 def test_the_only_output_is_of_z(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     stored(gyrofleet, tmp_path / "r.csv", ["陀螺输出"])
     assert biases(gyrofleet)["陀螺输出", "removed"]["value"] == pytest.approx(BIASES[0] - EARTH, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("names", "is_one"),
+    [
+        (["rate", "rate_compensated", "rate_filtered"], True),
+        (["gyro_1", "gyro_2"], False),
+        (["rate_a", "rate_b"], False),
+    ],
+)
+def test_forms_of_one_output_have_its_axis(
+    tmp_path: Path, gyrofleet: Callable[..., Any], names: list[str], is_one: bool
+) -> None:
+    stored(gyrofleet, tmp_path / "r.csv", names)
+    found = biases(gyrofleet)
+    assert {row["value"] is not None for (_, earth_rate), row in found.items() if earth_rate == "removed"} == {is_one}
+    assert len(found) == 2 * len(names)
