@@ -33,7 +33,7 @@ from analytics.certificate.statement.order import Order
 from analytics.certificate.statement.results import ordered_rows, result_rows
 from analytics.certificate.statement.standards import Standard
 from analytics.certificate.statement.validity import later
-from analytics.certificate.statement.words import Language, Words
+from analytics.certificate.statement.words import Language, Words, clause_in_chinese
 from analytics.evaluation.inner_page import inner_page
 from storage.recording.acts.proposing import carried_out, check_may_propose, has_to_be_proposed, propose
 from storage.recording.acts.two_persons import Proposal
@@ -70,6 +70,7 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
     number: str | None
     is_draft: bool
     missing: list[str]
+    missing_zh: list[str]
     deviations: list[str]  # in what the records depart from the clauses
     compensated: list[str]  # signals of results that an error model has compensated
     left_out: list[str]  # runs since the item was received that are excluded from evaluation
@@ -217,9 +218,10 @@ def _files(
     release = version("gyrofleet")
     digital = digital_certificate(content, release=release, supersedes=wanted.supersedes)
     data = sha256_of(results_of(content).encode())
+    digest = "数据 SHA-256" if wanted.language == "zh" else "data SHA-256"
     pdf = certificate_pdf(
         content, figures_of(catalog, wanted.unit, content.facts.rows), wanted.language, attached=digital,
-        mark=f"gyrofleet {release}, data SHA-256 {data}", set_at=now.astimezone(dt.UTC), is_proposed=is_proposed,
+        mark=f"gyrofleet {release}, {digest} {data}", set_at=now.astimezone(dt.UTC), is_proposed=is_proposed,
     )  # fmt: skip
     return pdf, digital
 
@@ -255,6 +257,7 @@ def _written(
     return Issued(
         number=None if document is None else document.number, is_draft=document is None,
         missing=[f"{clause}: {each.en}" if clause else each.en for clause, each in content.missing],
+        missing_zh=[f"{clause_in_chinese(at)}：{each.zh}" if at else each.zh for at, each in content.missing],
         sha256=sha256_of(pdf),
         deviations=[each.en for each in departures(content.facts.rows)],
         compensated=sorted({each.signal for row in content.facts.rows for each in row.results if each.is_compensated}),

@@ -75,7 +75,7 @@ def _head(trend: Trend) -> Words:
     return words(
         "head", name=series.metric if header is None else Words(header.en, header.zh), variant=kind_of(*series.variant),
         n=series.value.size, units=units, s="s" * (units > 1), first=moment(series, 0),
-        last=moment(series, series.value.size - 1), charted=charted,
+        last=moment(series, series.value.size - 1), zone=words("in_utc") if series.dated else NOTHING, charted=charted,
     )  # fmt: skip
 
 

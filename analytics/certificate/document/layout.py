@@ -11,7 +11,7 @@ from typing import Any
 from analytics.certificate.document.figures import Figure
 from analytics.certificate.statement.content import Content, Section
 from analytics.certificate.statement.results import Result, ResultRow
-from analytics.certificate.statement.words import Language, Words
+from analytics.certificate.statement.words import Language, Words, clause_in_chinese
 from analytics.plots.plot_fonts import chinese_font_file
 from stream.errors import BadInput
 
@@ -100,22 +100,26 @@ def _data(
         "mark": mark,
         "is_draft": bool(content.missing) or not facts.number,
         "watermark": {"zh": "草稿", "en": "DRAFT"}[shown[0]],
-        "missing": [{"clause": clause, "words": _words(each)} for clause, each in content.missing],
+        "missing": [{"clause": _clause(clause, shown[0]), "words": _words(each)} for clause, each in content.missing],
         "words": {
             "missing": _words(Words("Draft: what a certificate still needs", "草稿：尚缺内容")),
             "end": _words(Words("End of the certificate", "证书结束")),
         },
         "columns": [_words(each) for each in _COLUMNS],
         "rows": [line for row in facts.rows for line in _rows(row)],
-        "sections": [_section(each) for each in content.sections if each.item.filled_by not in _LEFT_OUT],
+        "sections": [_section(each, shown[0]) for each in content.sections if each.item.filled_by not in _LEFT_OUT],
         "figures": [{"file": each.name, "caption": _words(each.caption)} for each in figures],
     }
 
 
-def _section(section: Section) -> dict[str, Any]:
+def _clause(clause: str, language: str) -> str:
+    return clause_in_chinese(clause) if language == "zh" else clause
+
+
+def _section(section: Section, language: str) -> dict[str, Any]:
     item = section.item
     return {
-        "clause": item.clause,
+        "clause": _clause(item.clause, language),
         "kind": _KINDS.get(item.filled_by, ""),
         "title": _words(Words(item.en, item.zh)),
         "lines": [{"label": _words(each.label), "text": _words(each.text)} for each in section.lines],

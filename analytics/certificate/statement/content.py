@@ -161,8 +161,8 @@ def _dates(facts: Facts) -> _Filled:
     if last > facts.issued:
         en = f"the calibration ended on {last}, which is after today, {facts.issued}: correct --start or the clock"
         missing.append(Words(en, f"校准结束日期 {last} 晚于今日 {facts.issued}：请更正--start或系统时钟"))
-    text = first.isoformat() if first == last else f"{first} - {last}"
-    lines.append(Line(Words("Calibrated", "校准日期"), Words(text, text)))
+    text = Words.of(first.isoformat()) if first == last else Words(f"{first} - {last}", f"{first} 至 {last}")
+    lines.append(Line(Words("Calibrated", "校准日期"), text))
     lines.append(_dated("Issued", "签发日期", facts.issued))
     if facts.order.valid_months is not None:
         lines.append(_dated("Recommended next calibration", "建议复校日期", later(last, facts.order.valid_months)))
@@ -315,7 +315,7 @@ def _deviations(facts: Facts) -> _Filled:
 def _departures(facts: Facts) -> _Filled:
     """Deviations where the standard does not ask for them: those that are stated, and those that were found."""
     found, stated = departures(facts.rows), Words.of(facts.order.deviations)
-    lines = [Line(Words("Deviations", "偏离"), stated or Words("none", "无"))]
+    lines = [Line(Words("Deviations", "偏离"), stated or Words("not stated", "未给出"))]
     lines += [Line(Words("Found in the records", "记录中的偏离"), each) for each in found]
     excluded = left_out(facts.evidence.excluded, facts.order.device.received)
     lines += [Line(Words("Left out", "未参与评定的试验"), each) for each in excluded]

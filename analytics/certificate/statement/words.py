@@ -25,3 +25,12 @@ class Words(msgspec.Struct, frozen=True):
 
     def __bool__(self) -> bool:
         return bool(self.en.strip() and self.zh.strip())
+
+
+def clause_in_chinese(clause: str) -> str:
+    """A clause as a Chinese text names it.
+
+    >>> clause_in_chinese("annex A"), clause_in_chinese("8 m")
+    ('附录 A', '8 m')
+    """
+    return clause.replace("annex ", "附录 ")

@@ -228,8 +228,9 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
 def _reasons_text(row: dict[str, Any], language: str) -> str:
     """What a unit fails by, what is undecided, and what is lacking."""
     parts = (("FAIL", row["failures"]), ("MARGINAL", row["undecided"]), ("NO_DATA", row["lacking"]))
-    return "; ".join(
-        f"{verdict_text(verdict, language)}: {', '.join(name_of_metric(metric, language) for metric in which)}"
+    colon, comma, apart = ("：", "、", "；") if language == "zh" else (": ", ", ", "; ")
+    return apart.join(
+        f"{verdict_text(verdict, language)}{colon}{comma.join(name_of_metric(metric, language) for metric in which)}"
         for verdict, which in parts
         if which
     )

@@ -89,7 +89,7 @@ def certificate(
     if as_json:
         print_json(issued)
     else:
-        _print_issued(issued, out)
+        _print_issued(issued, out, language)
 
 
 def _attest(store: "Store") -> None:
@@ -102,12 +102,18 @@ def _attest(store: "Store") -> None:
         notes().print(f"attested: {kept}", soft_wrap=True)
 
 
-def _print_issued(issued: "Issued", out: Path) -> None:
+def _print_issued(issued: "Issued", out: Path, language: str) -> None:
     for each in issued.left_out:
         notes().print(f"stated in it: {each}", soft_wrap=True)
     if issued.is_draft:
-        notes().print(f"{out}: a draft, not issued; missing: {len(issued.missing)}", soft_wrap=True)
-        for each in issued.missing:
+        count, missing = len(issued.missing), issued.missing_zh if language == "zh" else issued.missing
+        of = (
+            f"：草稿，未签发；尚缺 {count} 项"
+            if language == "zh"
+            else f": a draft, not issued; missing: {count}"
+        )
+        notes().print(f"{out}{of}", soft_wrap=True)
+        for each in missing:
             notes().print(f"  {each}", soft_wrap=True)
         return
     if issued.proposal is not None:

@@ -136,11 +136,13 @@ def spread(lo: float | None, hi: float | None) -> float | None:
     return None if lo is None or hi is None else (hi - lo) / 4
 
 
-def _parameters(row: dict[str, Any]) -> str:
+@jinja2.pass_context
+def _parameters(context: jinja2.runtime.Context, row: dict[str, Any]) -> str:
     """What tells values of one characteristic apart, as commands show it."""
     from analytics.evaluation.table import format_parameters
 
-    return format_parameters({name: each for name, each in _parameters_of(row).items() if name != _REMARK})
+    shown = {name: each for name, each in _parameters_of(row).items() if name != _REMARK}
+    return format_parameters(shown, str(context["lang"]))
 
 
 def _remark_of(row: dict[str, Any]) -> str:
