@@ -9,6 +9,7 @@ from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
+from unicodedata import east_asian_width
 
 from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.selection import Row, clauses_of, with_year
@@ -27,6 +28,7 @@ COLUMNS = (
 )  # fmt: skip
 _TITLES = tomllib.loads(files("analytics.evaluation").joinpath("metric_titles.toml").read_text(encoding="utf-8"))
 _MOST_DIGITS = 9
+_WIDEST = 80  # characters of a column of a workbook
 _REASONS = ("reason", "uncertainty_reason")
 
 
@@ -178,15 +180,26 @@ def write_xlsx(rows: Sequence[Row], path: Path, language: str) -> None:
             bold = book.add_format({"bold": True})
             columns = _columns_of(rows)
             titles = _titles(("name", *columns), language)
+            cells = [_plain(row, columns, language, is_for_people=True) for row in rows]
             sheet.write_row(0, 0, titles, bold)
-            at = 0
-            for at, row in enumerate(rows, 1):
-                sheet.write_row(at, 0, _plain(row, columns, language, is_for_people=True))
-            sheet.autofilter(0, 0, at, len(titles) - 1)
+            for at, row in enumerate(cells, 1):
+                sheet.write_row(at, 0, row)
+            sheet.autofilter(0, 0, len(cells), len(titles) - 1)
             sheet.freeze_panes(1, 1)
-            sheet.autofit()
+            for at, column in enumerate(zip(titles, *cells, strict=True)):
+                sheet.set_column(at, at, min(max(map(_width, column)) + 3, _WIDEST))  # 3: the mark of the filter
     except (OSError, XlsxWriterException) as error:
         raise _unwritable(path, "--xlsx", error) from error
+
+
+def _width(cell: object) -> int:
+    """Width of a cell in characters; Chinese ones are as wide as two.
+
+    >>> _width("零偏 bias"), _width(0.25), _width(None)
+    (9, 4, 0)
+    """
+    text = f"{cell:.10g}" if isinstance(cell, float) else "" if cell is None else str(cell)
+    return sum(2 if east_asian_width(each) in "WF" else 1 for each in text)
 
 
 def _columns_of(rows: Sequence[Row]) -> tuple[str, ...]:

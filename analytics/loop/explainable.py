@@ -72,7 +72,7 @@ class Explainable(msgspec.Struct, frozen=True, kw_only=True):
         if not self.is_significant:
             return Bilingual(
                 "a black box explains no more of the error from the recorded channels",
-                "黑箱回归未能由所记录的通道再解释误差",
+                "黑箱回归也未能用已记录的通道进一步解释误差",
             )
         names, seconds = list(self.channels), f"{self.averaging_s:g} s"
         if not self.at_least > 0:

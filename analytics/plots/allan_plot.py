@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
+from unicodedata import east_asian_width
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,6 +28,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
 _WORDS = tomllib.loads(files("analytics.plots").joinpath("allan_words.toml").read_text(encoding="utf-8"))
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
+_NAME_END = 10
 
 
 def plot_allan(
@@ -146,8 +148,21 @@ def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:
     parts = [curve.unit]
     parts += [curve.signal] if len({other.signal for other in curves}) > 1 else []
     parts += [curve.run] if len({other.run for other in curves}) > 1 else []
-    name = " ".join(parts)
-    return name if len(name) <= _NAME_LENGTH else f"{name[: _NAME_LENGTH - 11]}\N{HORIZONTAL ELLIPSIS}{name[-10:]}"
+    return shortened(" ".join(parts))
+
+
+def shortened(name: str) -> str:
+    """A name that fits beside the axes: of a long one the beginning and the end."""
+    if _width(name) <= _NAME_LENGTH:
+        return name
+    end = next(at for at in range(len(name)) if _width(name[at:]) <= _NAME_END)
+    begin = next(at for at in range(end, -1, -1) if _width(name[:at]) < _NAME_LENGTH - _NAME_END)
+    return f"{name[:begin]}\N{HORIZONTAL ELLIPSIS}{name[end:]}"
+
+
+def _width(text: str) -> int:
+    """Characters, of which Chinese ones are as wide as two."""
+    return sum(2 if east_asian_width(each) in "WF" else 1 for each in text)
 
 
 def _title(curves: list[AllanCurve], chosen: str | None) -> str:

@@ -19,6 +19,7 @@ from analytics.trends.trend import Chart, Trend
 from analytics.trends.words import behind
 
 _MOST_CHARTS = 8
+_ROOM = 0.14  # part of the height beyond limits of a specification, for their names
 _CENTRE, _ALARM, _LEVEL, _SPECIFIED = "#2f6f4f", "#a40000", "#c46a00", "#6a3d9a"
 _COLOURS = ("#1f4e79", "#b3541e", "#4b7f52", "#7a4988", "#8a6d1d", "#3f7f93")
 
@@ -128,10 +129,11 @@ def _draw_specified(
         at = np.flatnonzero((series.t_ns >= valid.from_ns) & (series.t_ns < valid.until_ns))
         if not at.size:
             continue
-        for side, name in ((valid.lower, "lower"), (valid.upper, "upper")):
-            if side is not None:
+        for side, name, below in ((valid.lower, "lower", "top"), (valid.upper, "upper", "bottom")):
+            if side is not None:  # its name beyond it, where points are few, and within the frame
                 axes.plot((t[at[0]], t[at[-1]]), (side, side), color=_SPECIFIED, linewidth=1.4)
-                axes.annotate(f"{name} {side:.4g}", (t[at[0]], side), fontsize=7, color=_SPECIFIED, va="bottom")
+                axes.annotate(f"{name} {side:.4g}", (t[at[0]], side), fontsize=7, color=_SPECIFIED, va=below)
+                axes.margins(y=_ROOM)
 
 
 def _draw_limits(axes: Axes, chart: Chart, limits: IndividualsChart, t: np.ndarray[Any, Any]) -> None:

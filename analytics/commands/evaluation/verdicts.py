@@ -183,7 +183,9 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
         if with_values:
             console.print(_value_table(found.verdicts, language))
         counts = Counter(row["verdict"] for row in found.units)
-        summary = ", ".join(f"{n} {verdict_text(name, language)}" for name, n in sorted(counts.items()))
+        summary = ("，" if language == "zh" else ", ").join(
+            f"{n} {verdict_text(name, language)}" for name, n in sorted(counts.items())
+        )
         more = ""
         if len(found.units) > _SHOWN:
             more = (
@@ -192,13 +194,14 @@ def _print(found: "Verdicts", shares: list[dict[str, Any]], by: Any, language: s
                 else f" (the first {_SHOWN} shown; --json gives all)"
             )
         units = counted(len(found.units), "unit") if language == "en" else f"{len(found.units)} 个产品"
-        console.print(f"{units}: {summary}{more}")
+        console.print(f"{units}：{summary}{more}" if language == "zh" else f"{units}: {summary}{more}")
     if found.pareto and not with_values:
         console.print(_pareto_table(found.pareto, language))
     for row in found.warnings:
         reason = row["reason_zh"] if language == "zh" else row["reason"]
         before = "警告：产品" if language == "zh" else "warning: unit"
-        notes().print(f"{before} {named(row, 'unit')}: {reason}", soft_wrap=True)
+        colon = "：" if language == "zh" else ": "
+        notes().print(f"{before} {named(row, 'unit')}{colon}{reason}", soft_wrap=True)
 
 
 def _conformity(row: dict[str, Any], language: str) -> str:

@@ -18,7 +18,7 @@ from analytics.curves.allan_curve import AllanCurve
 from analytics.demo.demo import demo_limits
 from analytics.plots import allan_plot, plot_fonts
 from analytics.plots.allan_marks import limit_marks, spread
-from analytics.plots.allan_plot import plot_allan
+from analytics.plots.allan_plot import plot_allan, shortened
 from stream.errors import BadInput
 from stream.events import Limit
 
@@ -180,3 +180,11 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="its columns differ in length"):
         replace(FLEET[0], edf=())
     assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("unit", "name"),
+    [("陀螺-001", "陀螺-001"), ("光纤陀螺样机二号-001", "光纤…机二号-001"), ("ABCDEFGHIJKLMNOPQRST", "ABCDE…KLMNOPQRST")],
+)
+def test_a_name_beside_a_curve_is_short_enough_also_in_chinese(unit: str, name: str) -> None:
+    assert shortened(unit) == name

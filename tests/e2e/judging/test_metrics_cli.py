@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -244,7 +245,7 @@ def test_verdicts_by_unit_and_by_station(specified: Ask) -> None:
     assert "The yield is of units that were judged: 1 of 3 are NO_DATA and not in it" in shown
     specified("verdicts", "--fail-on-fail", "--unit", "FOG-0001")
     shown = specified("verdicts", "--lang", "zh", "--unit", "FOG-0002").stdout
-    assert "不合格: 零偏" in shown
+    assert "不合格：零偏" in shown
     assert "FOG-0002" in shown
     remarks = "".join(specified("verdicts", "--lang", "zh", "--unit", "FOG-0003").stdout.split())
     assert "记录长149s：条款一般要求一小时" in remarks
@@ -254,7 +255,7 @@ def test_verdicts_by_unit_and_by_station(specified: Ask) -> None:
 @pytest.mark.long
 def test_verdicts_of_all_units_fail_where_one_does_and_speak_chinese(specified: Ask) -> None:
     specified("verdicts", "--fail-on-fail", code=3)
-    assert "不合格: 零偏" in specified("verdicts", "--lang", "zh").stdout
+    assert "不合格：零偏" in specified("verdicts", "--lang", "zh").stdout
     assert "FOG-0002" in specified("verdicts", "--unit", "FOG-0002").stdout
 
 
@@ -311,3 +312,21 @@ def test_a_visual_check_alone_passes_no_unit(tmp_path: Path) -> None:
     (unit,) = json.loads(CliRunner().invoke(main, ["verdicts", "--store", folder, "--json"]).stdout)["units"]
     assert unit["verdict"] == "NO_DATA"
     assert unit["reason"].startswith("the store has no limits")
+
+
+def test_a_workbook_in_chinese_has_columns_wide_enough(ask: Ask, tmp_path: Path) -> None:
+    ask("metrics", "--unit", "FOG-0001", "--metric", "bias", "--lang", "zh", "--xlsx", tmp_path / "m.xlsx")
+    with zipfile.ZipFile(tmp_path / "m.xlsx") as book:
+        sheet = book.read("xl/worksheets/sheet1.xml").decode()
+        texts = book.read("xl/sharedStrings.xml").decode()
+    columns = re.findall(r'<col min="(\d+)" max="(\d+)" width="([\d.]+)"', sheet)
+    widths = {at: float(width) for first, last, width in columns for at in range(int(first), int(last) + 1)}
+    titles = ["特性", *(_title(texts, each) for each in ("代号", "产品编号", "信号", "试验", "数值"))]
+    for at, title in enumerate(titles, 1):
+        assert widths[at] >= 2 * len(title) + 3
+    assert "GJB2426A-2004, JJF2014-2022" in texts
+
+
+def _title(texts: str, title: str) -> str:
+    assert f">{title}<" in texts
+    return title
