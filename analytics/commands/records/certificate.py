@@ -107,11 +107,7 @@ def _print_issued(issued: "Issued", out: Path, language: str) -> None:
         notes().print(f"stated in it: {each}", soft_wrap=True)
     if issued.is_draft:
         count, missing = len(issued.missing), issued.missing_zh if language == "zh" else issued.missing
-        of = (
-            f"：草稿，未签发；尚缺 {count} 项"
-            if language == "zh"
-            else f": a draft, not issued; missing: {count}"
-        )
+        of = f"：草稿，未签发；尚缺 {count} 项" if language == "zh" else f": a draft, not issued; missing: {count}"
         notes().print(f"{out}{of}", soft_wrap=True)
         for each in missing:
             notes().print(f"  {each}", soft_wrap=True)

@@ -138,5 +138,5 @@ def _by_chance(found: FoundEffect) -> Bilingual:
     return Bilingual(
         f"{_NOT_PLANNED}: its time or phase is not under control of the station, so that no run is sure to show it. "
         f"What a person can do: {own.separating_test}.",
-        f"{_NOT_PLANNED.zh}：其出现时刻或相位不受台站控制，没有试验必然显示它。可由人员进行：{own.separating_test_zh}。",
+        f"{_NOT_PLANNED.zh}：其出现时刻或相位不受试验台控制，没有试验必然显示它。可由人员进行：{own.separating_test_zh}。",
     )

@@ -23,12 +23,12 @@ from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 _SAME_COLUMNS = Bilingual(
     "No run decides: they follow the same regressor in the recorded channels, also in every test of this station; the "
     "separating test of each names what to record or to set up otherwise.",
-    "任何试验均不能判别：它们在所记录的通道中（包括本台站的各项试验）回归量相同；各自的区分方法指出须另行记录或布置的内容。",
+    "任何试验均不能判别：它们在所记录的通道中（包括本试验台的各项试验）回归量相同；各自的区分方法指出须另行记录或布置的内容。",
 )
 _NO_TEST = Bilingual(
     "No test within the bounds of the station separates them in the recorded channels: widen the bounds (--bounds, "
     "--station), or set up by hand what the separating test of each names.",
-    "在台站能力范围内，没有试验能在所记录的通道中区分它们：请放宽范围（--bounds、--station），或按各自的区分方法人工布置。",
+    "在试验台能力范围内，没有试验能在所记录的通道中区分它们：请放宽范围（--bounds、--station），或按各自的区分方法人工布置。",
 )
 _FEWEST_RUNS = 1  # of those that are fitted
 _CHANNELS_DIFFER = Bilingual(

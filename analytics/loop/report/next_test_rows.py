@@ -21,7 +21,7 @@ def next_test_sentence(found: NextTest, words: Wording) -> str:
         answer = words.of(
             f"No test within the bounds of the station reaches a power of {WANTED_POWER:.0%} for each of them. The "
             f"most powerful: {times}{what}: {hours}, decides with {powers}.",
-            f"台站能力范围内没有试验能对每一种情形都达到{WANTED_POWER:.0%}的判别功效。功效最高者：{times}{what}：{hours}，"
+            f"试验台能力范围内没有试验能对每一种情形都达到{WANTED_POWER:.0%}的判别功效。功效最高者：{times}{what}：{hours}，"
             f"判别功效{powers}。",
         )
     else:
@@ -141,7 +141,7 @@ def bounds_sentence(found: NextTest, words: Wording) -> str | None:
         f"{name} {each['value']:g} {each['unit_of_measure']} ({sources[each['from']]})"
         for name, each in found.bounds.document().items()
     ]
-    text = words.of("Bounds of the station: ", "台站能力范围：") + words.of(", ", "、").join(parts)
+    text = words.of("Bounds of the station: ", "试验台能力范围：") + words.of(", ", "、").join(parts)
     if any(each["from"] == "station" for each in found.bounds.document().values()):
         text += words.of(
             "; what the station file gives may be more than the unit withstands: compare it with its specification",

@@ -184,7 +184,11 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("unit", "name"),
-    [("陀螺-001", "陀螺-001"), ("光纤陀螺样机二号-001", "光纤…机二号-001"), ("ABCDEFGHIJKLMNOPQRST", "ABCDE…KLMNOPQRST")],
+    [
+        ("陀螺-001", "陀螺-001"),
+        ("光纤陀螺样机二号-001", "光纤…机二号-001"),
+        ("ABCDEFGHIJKLMNOPQRST", "ABCDE…KLMNOPQRST"),
+    ],
 )
 def test_a_name_beside_a_curve_is_short_enough_also_in_chinese(unit: str, name: str) -> None:
     assert shortened(unit) == name

@@ -98,7 +98,7 @@ def test_the_power_is_given_for_each_truth(language: str) -> None:
     assert "0.91" in row
     bounds = bounds_sentence(found, words)
     assert bounds is not None
-    assert ("station file" if language == "en" else "台站文件") in bounds
+    assert ("station file" if language == "en" else "试验台文件") in bounds
 
 
 def test_the_least_power_of_a_likely_truth_counts() -> None:
