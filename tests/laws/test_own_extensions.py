@@ -90,7 +90,7 @@ def test_a_mistake_in_the_header_of_a_metric_names_it(tmp_path: Path, where: str
         assert values["own_bias"][:3] == ("U1", "r1", None)
         assert values["own_bias"][3].startswith("metric own_bias cannot be computed: ")
         assert "/srv/own/metrics/own_bias.sql" in values["own_bias"][3]
-        assert in_chinese(values["own_bias"][3]).startswith("指标 own_bias 无法计算：")
+        assert in_chinese(values["own_bias"][3]).startswith("特性 own_bias 无法计算：")
         assert next(remarks_on_failed(catalog, found), "") == ""  # of no registered metric
 
 
