@@ -1,13 +1,13 @@
 """Units of measure: parsed at the border, stored as the source wrote them, reported as the standards require."""
 
 import difflib
-import math
 import re
 import threading
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from stream.errors import UnknownUnit
+from stream.known_units import KNOWN, NUMBERS
 
 if TYPE_CHECKING:
     import pint
@@ -30,43 +30,7 @@ _COMMON = (
 )
 
 
-class _Known(NamedTuple):
-    """A unit that needs no pint, whose import and definitions take longer than many commands."""
-
-    quantity: str
-    factor: float = 1.0  # to the first unit of the quantity
-    offset: float = 0.0
-
-
-_KNOWN = {
-    "deg/h": _Known("angular rate"), "deg/s": _Known("angular rate", 3600.0),
-    "dps": _Known("angular rate", 3600.0), "mdps": _Known("angular rate", 3.6), "°/h": _Known("angular rate"),
-    "°/s": _Known("angular rate", 3600.0), "deg/min": _Known("angular rate", 60.0),
-    "rad/s": _Known("angular rate", math.degrees(3600.0)), "mrad/s": _Known("angular rate", math.degrees(3.6)),
-    "arcsec/s": _Known("angular rate"), "rpm": _Known("angular rate", 21600.0),
-    "degC": _Known("temperature"), "°C": _Known("temperature"), "K": _Known("temperature", 1.0, -273.15),
-    "degF": _Known("temperature", 5 / 9, -160 / 9),
-    "V": _Known("voltage"), "mV": _Known("voltage", 1e-3), "A": _Known("current"), "mA": _Known("current", 1e-3),
-    "uV": _Known("voltage", 1e-6), "uA": _Known("current", 1e-6), "W": _Known("power"), "mW": _Known("power", 1e-3),
-    "Hz": _Known("frequency"), "kHz": _Known("frequency", 1e3), "MHz": _Known("frequency", 1e6),
-    "ns": _Known("time"), "us": _Known("time", 1e3), "ms": _Known("time", 1e6), "s": _Known("time", 1e9),
-    "min": _Known("time", 6e10), "h": _Known("time", 3.6e12),
-    "deg/s^2": _Known("angular acceleration"), "T": _Known("magnetic flux density", 1e6),
-    "mT": _Known("magnetic flux density", 1e3), "uT": _Known("magnetic flux density"),
-    "nT": _Known("magnetic flux density", 1e-3), "Pa": _Known("pressure"), "hPa": _Known("pressure", 100.0),
-    "mbar": _Known("pressure", 100.0), "kPa": _Known("pressure", 1e3), "bar": _Known("pressure", 1e5),
-    "deg": _Known("angle"), "°": _Known("angle"), "rad": _Known("angle", math.degrees(1.0)),
-    "mrad": _Known("angle", math.degrees(1e-3)), "arcmin": _Known("angle", 1 / 60), "arcsec": _Known("angle", 1 / 3600),
-    "g_0": _Known("acceleration", 9.80665), "mg_0": _Known("acceleration", 9.80665e-3),
-    "ug_0": _Known("acceleration", 9.80665e-6), "m/s^2": _Known("acceleration"), "m/s²": _Known("acceleration"),
-    "1": _Known("ratio"), "count": _Known("count"), "LSB": _Known("count"), "percent": _Known("share"),
-    "ppm": _Known("share", 1e-4),
-    "deg/(h)**0.5": _Known("angle random walk"),
-}  # fmt: skip
-
 _one_defines = threading.Lock()
-# to pint these are numbers, or numbers per second, all alike
-_NUMBERS = {"angle", "angular rate", "count", "frequency", "ratio", "share"}
 
 
 def _registry() -> "pint.UnitRegistry[float]":
@@ -110,7 +74,7 @@ def check_unit(text: str) -> str:
     if text.strip() in {"", "1"}:
         return "1"
     text = plain_unit(text)
-    if text in _KNOWN:
+    if text in KNOWN:
         return text
     try:
         if strange := _STRANGE.search(_ROOT.sub(r"(\1)**0.5", text)):  # pint would leave it out in silence
@@ -181,7 +145,7 @@ def is_angular_rate(text: str) -> bool:
     >>> is_angular_rate("smoots")
     False
     """
-    if (known := _KNOWN.get(text)) is not None:
+    if (known := KNOWN.get(text)) is not None:
         return known.quantity == "angular rate"
     try:
         unit = _unit(text)
@@ -246,8 +210,8 @@ def _no_conversion(source: str, target: str) -> UnknownUnit:
 
 
 def _known_conversion(source: str, target: str) -> tuple[float, float] | None:
-    one, other = _KNOWN.get(source), _KNOWN.get(target)
-    if one is None or other is None or (one.quantity != other.quantity and {one.quantity, other.quantity} <= _NUMBERS):
+    one, other = KNOWN.get(source), KNOWN.get(target)
+    if one is None or other is None or (one.quantity != other.quantity and {one.quantity, other.quantity} <= NUMBERS):
         return None
     if one.quantity != other.quantity:
         raise _no_conversion(source, target)
@@ -273,14 +237,34 @@ def _angles(text: str) -> float:
     return float(sum(power for name, power in powers.items() if name in _ANGLES or name in _ROTATIONS))
 
 
+class UnitPart(NamedTuple):
+    """A part of a unit, as volt, its prefix, as milli or none, and its power."""
+
+    prefix: str
+    name: str
+    power: float
+
+
+def unit_parts(text: str) -> list[UnitPart]:
+    """The parts of a unit of a result; an UnknownUnit if it is none.
+
+    >>> unit_parts("mV/sqrt(h)")
+    [UnitPart(prefix='milli', name='volt', power=1.0), UnitPart(prefix='', name='hour', power=-0.5)]
+    """
+    # pint has no public way to the parts of a unit
+    powers = cast("dict[str, float]", dict(_unit(_ROOT.sub(r"(\1)**0.5", plain_unit(text)))._units))  # noqa: SLF001
+    found = []
+    for name, power in powers.items():
+        prefix, plain, _ = ("", name, "") if name in _ANGLES else _registry().parse_unit_name(name)[0]
+        found.append(UnitPart(prefix, plain, float(power)))
+    return found
+
+
 def _powers(text: str) -> dict[str, float]:
     """The parts of a unit without prefixes, such as milli in mdps, and their powers."""
-    # pint has no public way to the parts of a unit
-    powers = cast("dict[str, float]", dict(_unit(text)._units))  # noqa: SLF001
     found: dict[str, float] = {}
-    for name, power in powers.items():
-        plain = name if name in _ANGLES else _registry().parse_unit_name(name)[0][1]
-        found[plain] = found.get(plain, 0.0) + power
+    for _, name, power in unit_parts(text):
+        found[name] = found.get(name, 0.0) + power
     return found
 
 

@@ -5,9 +5,9 @@ from itertools import permutations
 import pint
 import pytest
 
-from stream import quantities
 from stream.errors import BadInput, UnknownUnit
 from stream.identity import check_name, parse_key
+from stream.known_units import KNOWN
 from stream.quantities import check_unit, conversion, is_angular_rate, report_unit
 
 
@@ -73,7 +73,7 @@ def pint_registry() -> "pint.UnitRegistry[float]":
 
 def test_known_units_are_converted_as_pint_does() -> None:
     registry = pint_registry()
-    known = quantities._KNOWN
+    known = KNOWN
     pairs = [pair for pair in permutations(known, 2) if known[pair[0]].quantity == known[pair[1]].quantity]
     for source, target in pairs:
         factor, offset = conversion(source, target)
@@ -86,7 +86,7 @@ def test_known_units_are_converted_as_pint_does() -> None:
 @pytest.mark.long
 def test_known_units_of_different_quantities_are_as_different_to_pint() -> None:
     registry = pint_registry()
-    for source, target in permutations(quantities._KNOWN, 2):
+    for source, target in permutations(KNOWN, 2):
         try:
             conversion(source, target)
         except UnknownUnit:

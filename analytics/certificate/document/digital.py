@@ -1,25 +1,23 @@
 """The digital calibration certificate: the content as XML in the format of PTB's DCC 3.3 (https://ptb.de/dcc)."""
 
 import re
-import tomllib
-from importlib.resources import files
 from io import BytesIO
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element, QName, SubElement
 
+from analytics.certificate.document.si_units import counts_in, si_unit
 from analytics.certificate.statement.conformity import Conformity
 from analytics.certificate.statement.content import Content
 from analytics.certificate.statement.evidence import Span
 from analytics.certificate.statement.order import Order
 from analytics.certificate.statement.results import Result, ResultRow
 from analytics.certificate.statement.words import Words
+from analytics.evaluation.reasons import in_chinese
+from analytics.evaluation.type_b import COVERAGE
 
 _DCC, _SI, _XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
 _VERSION = "3.3.0"
 _SCHEMA = f"{_DCC} {_DCC}/v{_VERSION}/dcc.xsd"
-_UNITS: dict[str, str] = tomllib.loads(
-    files("analytics.certificate.document").joinpath("si_units.toml").read_text(encoding="utf-8")
-)["units"]
 _LANGUAGES = ("en", "zh")
 
 
@@ -201,16 +199,42 @@ def _result(parent: Element, row: ResultRow) -> None:
     _text(_add(parent, "name"), row.name)
     data = _add(parent, "data")
     for each in row.results:
-        quantity = _add(data, "quantity", refType="basic_measuredValue")
-        _text(_add(quantity, "name"), row.name)
-        signal = f"{each.signal}: " if each.signal else ""
-        _text(_add(quantity, "description"), Words(signal + each.conditions.en, signal + each.conditions.zh))
-        unit = _UNITS.get(each.unit_of_measure)
-        if unit is None:
-            number = f"{each.value_text} {each.unit}".strip()
-            _text(_add(quantity, "noQuantity"), Words.of(number))
-        else:
-            _real(quantity, each.value_text, unit, each)
+        measured_quantity(data, row.name, each)
+
+
+def measured_quantity(data: Element, name: Words, result: Result) -> None:
+    """Add a result: a real quantity of D-SI, and words where D-SI does not have its unit."""
+    quantity = _add(data, "quantity", refType="basic_measuredValue")
+    _text(_add(quantity, "name"), name)
+    _text(_add(quantity, "description"), _described(result))
+    unit = si_unit(result.unit_of_measure)
+    if unit is None:
+        _text(_add(quantity, "noQuantity"), _in_words(result))
+    else:
+        _real(quantity, result.value_text, unit, result)
+
+
+def _described(result: Result) -> Words:
+    """Signal and conditions; the unit where D-SI has none for a part of it, as counts; why there is no U."""
+    signal = f"{result.signal}: " if result.signal else ""
+    en, zh = [result.conditions.en], [result.conditions.zh]
+    if si_unit(result.unit_of_measure) is not None and counts_in(result.unit_of_measure):
+        en.append(f"unit of measure {result.unit_of_measure}")
+        zh.append(f"单位 {result.unit_of_measure}")
+    if result.expanded is None and result.why_no_u:
+        en.append(f"no expanded uncertainty: {result.why_no_u}")
+        zh.append(f"无扩展不确定度：{in_chinese(result.why_no_u)}")
+    return Words(signal + ", ".join(filter(None, en)), signal + "，".join(filter(None, zh)))
+
+
+def _in_words(result: Result) -> Words:
+    """Value, U, k and p of a result whose unit D-SI does not have."""
+    value = f"{result.value_text} {result.unit}".strip()
+    if result.expanded is None or result.k is None:
+        return Words.of(value)
+    u = f"U = {result.expanded_text} {result.unit}".strip()
+    stated = f"{u}, k = {result.k:.4g}, p = {result.p or COVERAGE:.4g}"
+    return Words(f"{value}, {stated}", f"{value}，{stated.replace(', ', '，')}")
 
 
 def _real(parent: Element, value: str, unit: str, result: Result | None = None) -> None:
@@ -221,7 +245,7 @@ def _real(parent: Element, value: str, unit: str, result: Result | None = None) 
         expanded = _si(_si(real, "measurementUncertaintyUnivariate"), "expandedMU")
         _si(expanded, "valueExpandedMU", result.expanded_text)
         _si(expanded, "coverageFactor", f"{result.k:.4g}")
-        _si(expanded, "coverageProbability", f"{result.p or 0.95:.4g}")
+        _si(expanded, "coverageProbability", f"{result.p or COVERAGE:.4g}")
 
 
 def _text(parent: Element, words: Words) -> None:
