@@ -161,13 +161,21 @@ def reference_of(step: AttitudeStep, axes: tuple[str, str, str], lasts_s: float)
         return "the position names no directions of the axes, as X_east_Y_north or X_up"
     if moves and (step.turned not in axes or abs(start[2, axes.index(step.turned)]) != 1.0):
         return "the table turns the unit about an axis that is not named, or not upright"
-    turned = start.T @ (np.array([0.0, 0.0, turn_deg if moves else 0.0]) + np.degrees(earth) * lasts_s)
-    end = _about_up(turn_deg if moves else 0.0) @ start
+    turn_deg = turn_deg if moves else 0.0
+    turned = start.T @ (np.array([0.0, 0.0, turn_deg]) + _mean_about_up(turn_deg).T @ np.degrees(earth) * lasts_s)
+    end = _about_up(turn_deg) @ start
     return Reference(start, end, earth, turned, is_heading_known)
 
 
 def _about_up(angle_deg: float) -> FloatArray:
     return np.asarray(Rotation.from_euler("Z", angle_deg, degrees=True).as_matrix(), np.float64)
+
+
+def _mean_about_up(angle_deg: float) -> FloatArray:
+    """The mean of the turns about up from zero to an angle, at a steady rate."""
+    angle = math.radians(angle_deg)
+    along, across = np.sinc(angle / math.pi), np.sinc(angle / math.tau) * math.sin(angle / 2.0)
+    return np.array([[along, -across, 0.0], [across, along, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _with_axis_vertical(at: int, side: int) -> FloatArray:

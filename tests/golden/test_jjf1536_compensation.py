@@ -118,6 +118,35 @@ def test_turning_only_the_heading_is_known(lab: Path, run_command: Callable[...,
         assert next(csv.reader(file))[:3] == ["step", "t_ns", "rate_x_deg_per_s"]
 
 
+def test_while_the_table_turns_the_level_axes_sweep_the_earths_rate(lab: Path, run_command: Callable[..., Any]) -> None:
+    """The truth is the sum of the body's rates over 20,000 short intervals, X east and Y north at the start."""
+    cases, n = {"whole": (360.0, 12), "third": (120.0, 4), "back": (-200.0, 4)}, 20_000
+    latitude = math.radians(LATITUDE_DEG)
+    sheet, truth = Sheet(ANGLES, WORDS), []
+    for name, (turn_deg, lasts_s) in cases.items():
+        sheet.step(
+            {"X": ramp(0.0, lasts_s), "Y": ramp(0.0, lasts_s), "Z": ramp(turn_deg, lasts_s)}, procedure="attitude", axis="Z",
+            step=name, position="X_east_Y_north", rate_command=turn_deg / lasts_s,
+        )  # fmt: skip
+        angle = np.radians(turn_deg) * (np.arange(n) + 0.5) / n
+        earth_deg = EARTH_DEG_PER_H / 3600 * lasts_s
+        swept = [
+            np.sin(angle).mean() * math.cos(latitude),
+            np.cos(angle).mean() * math.cos(latitude),
+            math.sin(latitude),
+        ]
+        truth.append([earth_deg * each for each in swept])
+        truth[-1][2] += turn_deg
+    sheet.write(lab / "sweeps.csv")
+    imported(run_command, lab, "sweeps", UNIT, 9)
+    steps = asked(run_command, lab, "--run", f"sweeps-{UNIT}").json["steps"]
+    assert len(steps) == len(cases)
+    for step, expected in zip(steps, truth, strict=True):
+        assert step["reference_deg"] == pytest.approx(expected, abs=1e-7)
+    assert truth[0][:2] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert truth[1][:2] == pytest.approx([0.0092, 0.0053], abs=5e-5)  # X, Y, as a metrologist integrated them
+
+
 def test_without_the_run_of_the_biases_each_is_named(lab: Path, run_command: Callable[..., Any]) -> None:
     one = asked(run_command, lab, "--run", f"rest-{UNIT}", "--calibration", f"K-{UNIT}")
     assert one.code == 1
