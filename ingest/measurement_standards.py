@@ -12,12 +12,13 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 
-from stream.errors import BadInput, UnknownUnit
-from stream.quantities import conversion
+from ingest.standard_units import factor_to_kept
+from stream.errors import BadInput
 
 DETAIL = "standards"  # its key in the details of a run
 # standard uncertainty as a part of the half-width (JCGM 100 4.3.7, 4.3.9, H.1.3.4)
 _DIVISORS = {"uniform": math.sqrt(3.0), "triangular": math.sqrt(6.0), "u_shaped": math.sqrt(2.0)}
+_SYNONYMS = {"rectangular": "uniform", "arcsine": "u_shaped"}
 
 
 class Quantity(NamedTuple):
@@ -53,7 +54,9 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     U: float | None = None
     k: float | None = None  # by default 2
     half_width: float | None = None
-    distribution: Literal["uniform", "triangular", "u_shaped"] | None = None  # by default uniform
+    distribution: Literal["uniform", "rectangular", "triangular", "u_shaped", "arcsine"] | None = (
+        None  # uniform if None
+    )
     freedom: float | None = None
 
     def entry(self, quantity: str) -> dict[str, Any]:
@@ -66,16 +69,18 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         if (self.U is None) == (self.half_width is None) or mixed is not None:
             raise BadInput(f"uncertainty.{quantity} has either U with k, or half_width with distribution")
         stated = self.U if self.U is not None else self.half_width
-        distribution = "normal" if self.U is not None else self.distribution or "uniform"
+        distribution = (
+            "normal" if self.U is not None else _SYNONYMS.get(self.distribution or "", self.distribution or "uniform")
+        )
         divisor = (2.0 if self.k is None else self.k) if self.U is not None else _DIVISORS[distribution]
         freedom = math.inf if self.freedom is None else self.freedom
         if stated is None or not (0 <= stated < math.inf and 0 < divisor < math.inf and freedom > 0):
             raise BadInput(f"uncertainty.{quantity}: U and half_width are from 0, k and freedom above 0")
         unit = QUANTITIES[quantity].unit
         try:
-            factor, _ = conversion(self.unit, unit)
-        except UnknownUnit as error:
-            raise BadInput(f"uncertainty.{quantity}.unit: {error}; it is kept in {unit}") from error
+            factor = factor_to_kept(self.unit, unit)
+        except BadInput as error:
+            raise BadInput(f"uncertainty.{quantity}.unit: {error}") from error
         return {
             "quantity": quantity, "stated": stated * factor, "divisor": divisor, "u": stated * factor / divisor,
             "unit": unit, "distribution": distribution,

@@ -21,9 +21,11 @@ _ROOT = re.compile(r"sqrt\(([^()]+)\)")
 _ROOT_SIGN = re.compile(r"(?:√|(?<![A-Za-z])rt)(?:\(([^()]+)\)|(?<=√)([A-Za-z]+))|(?<![A-Za-z])rt(Hz|h|hr)\b")
 _PLAIN = {0xFF01 + at: chr(0x21 + at) for at in range(94)} | {
     ord("℃"): "degC", ord("℉"): "degF", ord("∕"): "/", ord("⁄"): "/", ord("˚"): "°", ord("−"): "-", ord("″"): "arcsec",
-    ord("′"): "arcmin", 0x3000: " ",
+    ord("′"): "arcmin", ord("‰"): "permille", 0x3000: " ",
 }  # fmt: skip
 _STRANGE = re.compile(r"[^A-Za-z0-9\s._*/^()+\-%°ºµμΩΩÅ²³¹⁰⁴⁵⁶⁷⁸⁹⁻·⋅×]")
+_HIGH_POWER = re.compile(r"\d{4}|(?:\*\*|\^).*(?:\*\*|\^)[^A-Za-z]*$|\d\s*(?:\*\*|\^)")
+_LONGEST = 100
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
     *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "1"),
@@ -42,7 +44,8 @@ def _registry() -> "pint.UnitRegistry[float]":
 def _defined() -> "pint.UnitRegistry[float]":
     import pint
 
-    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None, on_redefinition="ignore")
+    registry.define("mil = π / 3200 * radian")  # pint has a tenth of it
     registry.define("LSB = count")
     registry.define("dps = degree / second")
     return registry
@@ -77,6 +80,8 @@ def check_unit(text: str) -> str:
     if text in KNOWN:
         return text
     try:
+        if len(text) > _LONGEST or _HIGH_POWER.search(text):  # hours of arithmetic
+            raise ValueError(text)
         if strange := _STRANGE.search(_ROOT.sub(r"(\1)**0.5", text)):  # pint would leave it out in silence
             raise ValueError(strange[0])
         _registry().parse_units(text)
@@ -96,15 +101,16 @@ def conversion(source: str, target: str) -> tuple[float, float]:
     """
     if source == target:
         return 1.0, 0.0
+    source, target = check_unit(source), check_unit(target)
     if (known := _known_conversion(source, target)) is not None:
         return known
     quantity = _registry().Quantity
-    from pint.errors import DimensionalityError
+    from pint.errors import PintError
 
     try:
         zero = quantity(0.0, _unit(source)).to(_unit(target)).magnitude
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
-    except DimensionalityError as error:
+    except (PintError, ArithmeticError, AssertionError) as error:  # the last for parts of logarithms, as in dB*degC
         raise _no_conversion(source, target) from error
     factor = float(one - zero)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
@@ -255,7 +261,7 @@ def unit_parts(text: str) -> list[UnitPart]:
     powers = cast("dict[str, float]", dict(_unit(_ROOT.sub(r"(\1)**0.5", plain_unit(text)))._units))  # noqa: SLF001
     found = []
     for name, power in powers.items():
-        prefix, plain, _ = ("", name, "") if name in _ANGLES else _registry().parse_unit_name(name)[0]
+        prefix, plain, _ = (*_registry().parse_unit_name(name), ("", name, ""))[0]
         found.append(UnitPart(prefix, plain, float(power)))
     return found
 
@@ -269,7 +275,8 @@ def _powers(text: str) -> dict[str, float]:
 
 
 def _unit(text: str) -> "pint.Unit":
-    return _registry().parse_units("" if check_unit(text) == "1" else text)
+    plain = check_unit(text)
+    return _registry().parse_units("" if plain == "1" else plain)
 
 
 def format_unit(unit_of_measure: str | None) -> str:
