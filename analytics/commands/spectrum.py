@@ -45,6 +45,8 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
     if as_json:
         print_json(found.document())
         return
+    for english, _ in found.remarks:
+        results().print(f"warning (警告): {english}", soft_wrap=True)
     if found.lines:
         results().print(_line_table(found))
     else:
@@ -53,25 +55,38 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
     if found.humps:
         results().print(_hump_table(found))
     results().print(_level_table(found))
-    if found.remark is not None:
-        results().print("warning (警告): " + " ".join(found.remark), soft_wrap=True)
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
 
 
 def _line_table(found: "SignalSpectrum") -> ResultTable:
     from analytics.curves.spectrum import with_error
+    from analytics.curves.spectrum_remarks import LEAST_APART_BINS
 
     table = ResultTable(
         title=f"Lines (谱线) of {found.unit} {found.signal}, run {found.run}",
-        caption=f"{found.confidence * 100:g} % confidence; amplitude is that of the peak. {_tested(found)}",
+        caption=f"{found.confidence * 100:g} % confidence; amplitude is that of the peak. {_tested(found)}; "
+        f"of lines closer than {LEAST_APART_BINS * found.bin_width_hz:.3g} Hz only the strongest may be listed",
     )
-    for title in ("frequency Hz 频率", f"amplitude {found.unit_of_measure} 幅值", "from", "to", "times background"):
+    for title in (
+        "frequency Hz 频率",
+        f"amplitude {found.unit_of_measure} 幅值",
+        "from",
+        "to",
+        "times background",
+        "over the record",
+    ):
         table.add_column(title, justify="right")
     for line in found.lines:
-        amplitudes = (line.amplitude, line.amplitude_lo, line.amplitude_hi)
-        frequency = with_error(line.frequency_hz, line.frequency_hi_hz - line.frequency_hz)
-        table.add_row(frequency, *(f"{value:.4g}" for value in amplitudes), f"{line.background_ratio:,.3g}")
+        limits = (_NONE if math.isnan(value) else f"{value:.4g}" for value in (line.amplitude_lo, line.amplitude_hi))
+        half_width_hz = line.frequency_hi_hz - line.frequency_hz
+        moves = line.is_steady is False
+        frequency = (
+            f"{line.frequency_lo_hz:.5g} to {line.frequency_hi_hz:.5g}" if moves
+            else with_error(line.frequency_hz, half_width_hz)
+        )  # fmt: skip
+        steady = {True: "steady", False: "not steady 不稳定", None: _NONE}[line.is_steady]
+        table.add_row(frequency, f"{line.amplitude:.4g}", *limits, f"{line.background_ratio:,.3g}", steady)
     return table
 
 
@@ -79,7 +94,8 @@ def _hump_table(found: "SignalSpectrum") -> ResultTable:
     table = ResultTable(
         title=f"Humps (宽带凸起) of {found.unit} {found.signal}, run {found.run}",
         caption=f"bands above the fitted power-law noise model; {found.confidence * 100:g} % confidence; of spectra of "
-        f"such noise, at most {found.false_alarm_probability * 100:g} % show one",
+        f"such noise, at most {found.false_alarm_probability * 100:g} % show one; searched from "
+        f"{found.humps_lo_hz:.4g} Hz on, without what sidelobes of lines reach",
     )
     rms = f"excess RMS {found.unit_of_measure} 超出均方根"
     for title in ("from Hz", "to Hz", "times model 与模型之比", "from", "to", rms, "probability by chance"):
@@ -100,12 +116,14 @@ def _tested(found: "SignalSpectrum") -> str:
 def _level_table(found: "SignalSpectrum") -> ResultTable:
     length_s = found.segment_samples * found.sample_interval_s
     left_out = f", {found.segments_left_out:,} left out for missing samples" if found.segments_left_out else ""
+    slow = f"; changes slower than {found.slow_below_hz:.3g} Hz subtracted, {found.slow_span:.3g} "
+    slow = f"{slow}{found.unit_of_measure} from the least to the largest" if found.slow_span else ""
     table = ResultTable(
         title=f"Power spectral density (功率谱密度) of {found.unit} {found.signal}, run {found.run}",
         caption=f"{found.samples:,} samples every {found.sample_interval_s:g} s, {found.missing:,} missing; "
         f"resolution {found.bin_width_hz:.4g} Hz: {found.segments:,} segments of {found.segment_samples:,} samples "
-        f"({length_s:g} s){left_out}, half overlapping, Hann window; means over a tenth of a decade, lines left out; "
-        f"limits: {found.confidence * 100:g} % confidence",
+        f"({length_s:g} s){left_out}, half overlapping, Hann window{slow}; means over a tenth of a "
+        f"decade, lines left out; limits: {found.confidence * 100:g} % confidence",
     )
     for title in (
         "frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}"

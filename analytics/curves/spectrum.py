@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,16 +11,22 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from analytics.curves.humps import Hump, find_humps, independent_bins
+from analytics.curves.baseband import Baseband
+from analytics.curves.hump_search import first_clear, search_humps
+from analytics.curves.humps import Hump, independent_bins
+from analytics.curves.prepared_samples import Preparation, PreparedDensity, runs_of
+from analytics.curves.spectrum_remarks import remarks_on
+from analytics.curves.steady_lines import BLOCKS_A_SEGMENT, RecordedLine, judge_lines
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
-from stream.batch import FloatArray
-from stream.defects.stillness import Stillness, remark_on_stillness
+from stream.batch import FloatArray, SampleBatch
+from stream.clock import GridTracker
+from stream.defects.stillness import Stillness
 from stream.errors import BadInput, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds
-from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
-from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
+from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN
+from stream.estimators.spectrum.spectral_lines import SpectralLine, Spectrum, background_edf, hann_response
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01
@@ -28,6 +34,7 @@ LONGEST_SEGMENT = 65_536
 
 _ENOUGH_SEGMENTS = 8
 _SHORT_SEGMENT = 512
+_MOST_BRIDGED = 0.15  # relative change of the density by bridging short gaps, for which it is corrected
 
 
 class Level(msgspec.Struct, frozen=True):
@@ -64,9 +71,18 @@ class SignalSpectrum:
     false_alarm_probability: float  # largest probability that a spectrum without any line shows one; the same for humps
     searched_lo_hz: float  # band that was searched for lines: bins with neighbours on both sides
     searched_hi_hz: float
-    lines: tuple[SpectralLine, ...]  # lowest frequency first, as the humps
+    lines: tuple[RecordedLine, ...]  # lowest frequency first, as the humps
     humps: tuple[Hump, ...] = ()
     longest_still: int = 0  # samples of the longest stretch in which all are alike
+    narrow_hz: tuple[float, ...] = ()  # peaks as narrow as lines beyond the band that is searched for these
+    humps_lo_hz: float = 0.0  # from where on humps are looked for: slow changes reach lower bins
+    slow_span: float = 0.0  # between the ends of the slow change that is subtracted, in `unit_of_measure`; 0 if none is
+    slow_below_hz: float = 0.0  # slower than which changes are subtracted
+    outliers: int = 0  # left out, and the largest in standard deviations
+    largest_outlier: float = 0.0
+    bridged: int = 0  # missing samples in short gaps, and by how much the density is corrected for bridging them
+    bridging_correction: float = 0.0
+    repeated: float = 0.0  # least share of samples that repeat the one before
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -74,26 +90,31 @@ class SignalSpectrum:
             raise BadInput(f"spectrum of unit {self.unit}, run {self.run}: its columns differ in length")
 
     @property
-    def remark(self) -> tuple[str, str] | None:
+    def remarks(self) -> list[tuple[str, str]]:
         """What a reader must know of the record, in English and Chinese."""
-        return remark_on_stillness(self.longest_still, self.samples)
+        return remarks_on(self)
 
     def document(self) -> dict[str, Any]:
         """Return the spectrum as it stands in JSON."""
         names = {"amplitude_lo": "lo", "amplitude_hi": "hi"}
         unit = {"unit_of_measure": self.unit_of_measure}
-        lines = [{names.get(k, k): v for k, v in msgspec.structs.asdict(line).items()} | unit for line in self.lines]
-        return asdict(self) | {"lines": lines, "humps": [msgspec.structs.asdict(hump) | unit for hump in self.humps]}
+        lines = [
+            {names.get(k, k): None if v != v else v for k, v in msgspec.structs.asdict(line).items()} | unit
+            for line in self.lines
+        ]
+        humps = [msgspec.structs.asdict(hump) | unit for hump in self.humps]
+        remarks = [{"en": english, "zh": chinese} for english, chinese in self.remarks]
+        return asdict(self) | {"lines": lines, "humps": humps, "remarks": remarks}
 
     def levels(self, edges_hz: FloatArray) -> list[Level]:
         """Mean density of the bands between neighbouring edges (Hz); bands without a bin are left out.
 
-        Bins within 4 of a line do not count. Bounds are for a density that is smooth over a band: m bins of `edf`
-        degrees, whose densities correlate by 4/9 and 1/36 one and two bins apart, have m edf / (1 + 8/9 (1 - 1/m) +
-        1/18 (1 - 2/m)) together.
+        Bins that a line or its sidelobes reach do not count, at least 4 on either side. Bounds are for a density that
+        is smooth over a band: m bins of `edf` degrees, whose densities correlate by 4/9 and 1/36 one and two bins
+        apart, have m edf / (1 + 8/9 (1 - 1/m) + 1/18 (1 - 2/m)) together.
         """
         frequency_hz, psd = np.array(self.frequency_hz), np.array(self.psd)
-        clear = _clear_of(self.lines, len(psd), self.bin_width_hz)
+        clear = _clear_of(self.lines, frequency_hz)
         bands = np.searchsorted(frequency_hz, edges_hz).tolist()
         found = []
         for start, stop in itertools.pairwise(bands):
@@ -121,12 +142,7 @@ class SignalSpectrum:
 
 
 def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalSpectrum:
-    """Power spectral density of a signal in the store, with its lines.
-
-    Without a run it is of the longest record. Segments are as long as 8 of them allow, from 512 to 65,536 samples: long
-    ones resolve lines and reach low frequencies, and their mean has 16 degrees of freedom or more. A record that gaps
-    cut into pieces shorter than that is read again with segments half as long, until 8 are whole.
-    """
+    """Power spectral density of a signal in the store, with its lines; without a run it is of the longest record."""
     record = find_signal(catalog, unit, signal, run)
     if record.irregular:
         raise NotEnoughData(
@@ -134,12 +150,27 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
             "and it needs equal intervals; gyrofleet allan --resample SECONDS takes such samples, a spectrum needs "
             "the signal recorded or imported at equal intervals"
         )
-    size = segment_for(record.samples)
-    spectral, still = _fed(catalog, record, size)
-    while spectral.segments < _ENOUGH_SEGMENTS and size > (_SHORT_SEGMENT if spectral.segments else FEWEST_SAMPLES):
-        size //= 2
-        spectral, still = _fed(catalog, record, size)
-    return _result(record, spectral, still.longest)
+    return spectrum_from(record, lambda: read_signal(catalog, record))
+
+
+def spectrum_from(
+    record: SignalRecord, read: Callable[[], Iterable[SampleBatch]], segment_samples: int | None = None
+) -> SignalSpectrum:
+    """The spectrum of a record that is read again and again.
+
+    Segments are as long as 8 of them allow, from 512 to 65,536 samples: long ones resolve lines and reach low
+    frequencies, and their mean has 16 degrees of freedom or more. A record that gaps cut into pieces shorter than that
+    is read again with segments half as long, until 8 are whole. Short gaps are bridged (`Preparation`) unless that
+    would change the density by more than 15 %.
+    """
+    size = segment_samples or segment_for(record.samples)
+    still, preparation = Stillness(), Preparation(size, record.samples)
+    preparation.look_through(still.watched(read()))
+    spectral = _fed(read, preparation, size)
+    if spectral.bridging_correction() > _MOST_BRIDGED:
+        preparation.is_bridged = False
+        spectral = _fed(read, preparation, size)
+    return _result(record, spectral, read, still.longest)
 
 
 def segment_for(samples: int) -> int:
@@ -149,14 +180,42 @@ def segment_for(samples: int) -> int:
     return min(LONGEST_SEGMENT, 1 << (longest.bit_length() - 1))
 
 
-def _fed(catalog: Catalog, record: SignalRecord, segment_samples: int) -> tuple[SpectralDensity, Stillness]:
-    spectral, still = SpectralDensity(segment_samples, CONFIDENCE), Stillness()
-    for batch in still.watched(read_signal(catalog, record)):
-        spectral.update(batch)
-    return spectral, still
+def _fed(read: Callable[[], Iterable[SampleBatch]], preparation: Preparation, size: int) -> PreparedDensity:
+    while True:
+        spectral = PreparedDensity(size, CONFIDENCE, preparation)
+        for batch in read():
+            spectral.update(batch)
+        shortest = _SHORT_SEGMENT if spectral.segments else FEWEST_SAMPLES
+        if spectral.segments >= _ENOUGH_SEGMENTS or size <= shortest:
+            return spectral
+        size //= 2
 
 
-def _result(record: SignalRecord, spectral: SpectralDensity, longest_still: int = 0) -> SignalSpectrum:
+def _lines(
+    spectral: PreparedDensity, spectrum: Spectrum, lines: tuple[SpectralLine, ...],
+    read: Callable[[], Iterable[SampleBatch]],
+) -> tuple[RecordedLine, ...]:  # fmt: skip
+    """The lines, judged by a further look at the record."""
+    if not lines:
+        return ()
+    interval_s, preparation = spectral.sample_interval_s, spectral.preparation
+    frequencies = [line.frequency_hz * interval_s for line in lines]
+    base = Baseband(frequencies, spectral.segment_samples // BLOCKS_A_SEGMENT)
+    preparation.restart()
+    for first_slot, values in runs_of(read(), GridTracker()):
+        base.take(*preparation.apply(first_slot, values))
+    judged = judge_lines(lines, spectrum, base, spectral.scale)
+    passed = preparation.passed(np.array([line.frequency_hz * interval_s for line in judged]))
+    names = ("amplitude", "amplitude_lo", "amplitude_hi")
+    return tuple(
+        msgspec.structs.replace(line, **{name: getattr(line, name) / part for name in names})
+        for line, part in zip(judged, passed.tolist(), strict=True)
+    )
+
+
+def _result(
+    record: SignalRecord, spectral: PreparedDensity, read: Callable[[], Iterable[SampleBatch]], longest_still: int = 0
+) -> SignalSpectrum:
     spectrum, lines = spectral.estimate(), spectral.lines(FALSE_ALARM_PROBABILITY)
     if isinstance(spectrum, NoEstimate) or isinstance(lines, NoEstimate):
         refused = spectrum if isinstance(spectrum, NoEstimate) else lines
@@ -165,11 +224,14 @@ def _result(record: SignalRecord, spectral: SpectralDensity, longest_still: int 
         reason = refused.reason.removeprefix(f"{where}: ")
         raise NotEnoughData(f"{where}, run {record.run}: no power spectral density: {reason}")
     lo_hz, hi_hz = spectral.searched_hz
-    clear = _clear_of(lines, spectrum.density.size, spectral.bin_width_hz)
-    humps = find_humps(
-        spectrum.frequency_hz[clear], spectrum.density[clear], spectrum.edf,
-        sample_interval_s=spectral.sample_interval_s, false_alarm_probability=FALSE_ALARM_PROBABILITY,
-        confidence=CONFIDENCE,
+    judged, preparation = _lines(spectral, spectrum, lines, read), spectral.preparation
+    spectrum = spectral.corrected(spectrum)
+    clear = _clear_of(judged, spectrum.frequency_hz)
+    first = first_clear(spectral.slow_part(), spectrum)
+    clear[:first] = False
+    humps, narrow_hz = search_humps(
+        spectrum, clear, (lo_hz, hi_hz), sample_interval_s=spectral.sample_interval_s,
+        false_alarm_probability=FALSE_ALARM_PROBABILITY,
     )  # fmt: skip
     return SignalSpectrum(
         unit=record.unit, signal=record.signal, run=record.run, unit_of_measure=spectral.unit_of_measure,
@@ -179,16 +241,21 @@ def _result(record: SignalRecord, spectral: SpectralDensity, longest_still: int 
         confidence=spectrum.confidence, edf=spectrum.edf, segments=spectrum.segments,
         segments_left_out=spectral.segments_left_out, segment_samples=spectral.segment_samples,
         bin_width_hz=spectral.bin_width_hz, false_alarm_probability=FALSE_ALARM_PROBABILITY, searched_lo_hz=lo_hz,
-        searched_hi_hz=hi_hz, lines=lines, humps=humps, longest_still=longest_still,
+        searched_hi_hz=hi_hz, lines=judged, humps=humps, longest_still=longest_still, narrow_hz=narrow_hz,
+        humps_lo_hz=(FIRST_BIN + first) * spectral.bin_width_hz, slow_span=preparation.slow.span * spectral.factor,
+        slow_below_hz=0.5 / (preparation.slow.spacing * spectral.sample_interval_s), outliers=preparation.outliers,
+        largest_outlier=preparation.largest_outlier, bridged=preparation.bridged,
+        bridging_correction=spectral.bridging_correction(), repeated=preparation.repeated,
     )  # fmt: skip
 
 
-def _clear_of(lines: Iterable[SpectralLine], bins: int, bin_width_hz: float) -> NDArray[np.bool_]:
-    """Bins that are not within 4 of a line."""
-    clear = np.ones(bins, np.bool_)
+def _clear_of(lines: Iterable[RecordedLine], frequency_hz: FloatArray) -> NDArray[np.bool_]:
+    """Bins that no line or sidelobe reaches."""
+    clear = np.ones(frequency_hz.size, np.bool_)
+    step_hz = float(frequency_hz[1] - frequency_hz[0])
     for line in lines:
-        middle = round(line.frequency_hz / bin_width_hz) - FIRST_BIN
-        clear[max(0, middle - GUARD_BINS) : middle + GUARD_BINS + 1] = False
+        low, high = line.reach_lo_hz - 0.5 * step_hz, line.reach_hi_hz + 0.5 * step_hz
+        clear &= (frequency_hz < low) | (frequency_hz > high)
     return clear
 
 

@@ -1,6 +1,7 @@
 """A plot of a power spectral density with its lines, for a data sheet or a report: PNG or SVG."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
     logarithmic_grid(axes, most_decades=12)
 
 
-def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
+def _mark(axes: Axes, spectrum: SignalSpectrum, named: Sequence[SpectralLine]) -> None:
     """A caret on every line, with its number, if any, above other marks."""
     peaks = [spectrum.psd[round(line.frequency_hz / spectrum.bin_width_hz) - FIRST_BIN] for line in spectrum.lines]
     points = [(line.frequency_hz, peak) for line, peak in zip(spectrum.lines, peaks, strict=True)]
@@ -106,7 +107,7 @@ def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> No
         axes.annotate(number, points[i], (0, height), color=_LINE, fontsize=8, zorder=6, **above)
 
 
-def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
+def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: Sequence[SpectralLine]) -> None:
     """The lines by number beside the axes, with frequency and amplitude."""
     beside: dict[str, Any] = {"va": "top", "transform": axes.transAxes}
     axes.text(1.025, 1.0, in_both("Lines", "谱线"), color=INK, fontsize=8.5, fontweight="bold", **beside)

@@ -67,17 +67,10 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
         value = piece[np.isfinite(piece)]
         if value.size <= 2 * _BESIDE or np.ptp(value) == 0.0:
             continue
-        moves = np.abs(np.diff(value))
-        # an output that stood still for a part of the record has no noise there
-        sigma = _PER_MEDIAN * float(np.median(moves[moves > 0])) * 0.5**0.5
+        sigma = _noise(value)
         samples += value.size
         variance += sigma**2 * value.size
-        off = value[1:-1] - 0.5 * (value[:-2] + value[2:])
-        found = []
-        for at in np.flatnonzero(np.abs(off) > FAR * np.sqrt(1.5) * sigma) + 1 if sigma > 0 else ():
-            around = np.concatenate([value[max(0, at - _BESIDE) : at], value[at + 1 : at + 1 + _BESIDE]])
-            if np.ptp(around) < _CALM * abs(off[at - 1]):
-                found.append(float(off[at - 1]))
+        found = list(_inside(value, sigma).values())
         if samples == value.size:  # the first of all
             found += filter(None, [_end(value[:4], sigma)])
         last = _end(value[:-5:-1], sigma), sigma
@@ -85,9 +78,51 @@ def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
             count, squares, largest = count + 1, squares + each**2, max(largest, abs(each) / sigma)
     if last[0]:
         count, squares, largest = count + 1, squares + last[0] ** 2, max(largest, abs(last[0]) / last[1])
-    if count == 0 or count > _MOTION * samples:
+    if count == 0 or is_motion(count, samples):
         return IsolatedOutliers(0, 0.0, 0.0)
     return IsolatedOutliers(count, largest, float(np.sqrt(1.0 + squares / variance) - 1.0))
+
+
+def isolated_at(values: FloatArray) -> dict[int, float]:
+    """Where isolated outliers stand in a piece of a signal, its ends included, and how many deviations off.
+
+    >>> noise = np.random.default_rng(1).standard_normal(100)
+    >>> noise[[0, 50]], noise[7] = 35.0, np.nan
+    >>> sorted(isolated_at(noise))
+    [0, 50]
+    """
+    places = np.flatnonzero(np.isfinite(values))
+    value = values[places]
+    if value.size <= 2 * _BESIDE or np.ptp(value) == 0.0:
+        return {}
+    sigma = _noise(value)
+    found = _inside(value, sigma)
+    for at, end in ((0, value[:4]), (value.size - 1, value[:-5:-1])):
+        if off := _end(end, sigma):
+            found[at] = off
+    return {int(places[at]): abs(off) / sigma for at, off in found.items()}
+
+
+def is_motion(count: int, samples: int) -> bool:
+    """Whether so many samples stand out that they are a motion or the tail of a noise, and no outliers."""
+    return count > _MOTION * samples
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation from the median difference; an output that stood still for a part has no noise there."""
+    moves = np.abs(np.diff(values))
+    return float(_PER_MEDIAN * np.median(moves[moves > 0]) * 0.5**0.5)
+
+
+def _inside(values: FloatArray, sigma: float) -> dict[int, float]:
+    """Where outliers stand that have a neighbour on both sides, and how far they are from the mean of these."""
+    off = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    found = {}
+    for at in (np.flatnonzero(np.abs(off) > FAR * np.sqrt(1.5) * sigma) + 1).tolist() if sigma > 0 else ():
+        around = np.concatenate([values[max(0, at - _BESIDE) : at], values[at + 1 : at + 1 + _BESIDE]])
+        if np.ptp(around) < _CALM * abs(off[at - 1]):
+            found[at] = float(off[at - 1])
+    return found
 
 
 def _end(values: FloatArray, sigma: float) -> float:

@@ -26,9 +26,13 @@ def store(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., A
     rate_x = noise_x + AMPLITUDE * np.sin(2.0 * np.pi * LINE_HZ * t_s + 1.0)
     frame = pl.DataFrame({"time[s]": t_s, "rate_x[deg/s]": rate_x / 3600.0, "rate_y[deg/s]": noise_y / 3600.0})
     frame.write_parquet(folder / "long.parquet")
+    faulty = np.delete(noise_x + 60.0 * np.sin(2.0 * np.pi * (50.0 * t_s + 0.5 * 0.2 / 300.0 * t_s**2)), [777, 40_000])
+    faulty[30_000] = 99_999.0
+    times = np.delete(t_s, [777, 40_000])
+    pl.DataFrame({"time[s]": times, "rate_x[deg/h]": faulty}).write_parquet(folder / "faulty.parquet")
     frame[:100].write_parquet(folder / "short.parquet")
     frame[:300].write_parquet(folder / "one_segment.parquet")
-    frame.filter(pl.Series(np.arange(n) % 1000 != 999)).write_parquet(folder / "holed.parquet")
+    frame.filter(pl.Series(np.arange(n) % 1000 < 996)).write_parquet(folder / "holed.parquet")
     seconds = np.arange(3600.0)
     hunting = 25.0 + 0.05 * rng.standard_normal(3600) + WARM_AMPLITUDE * np.sin(2.0 * np.pi * WARM_HZ * seconds)
     pl.DataFrame({"time[s]": seconds, "temperature[degC]": hunting}).write_parquet(folder / "warm.parquet")
@@ -78,6 +82,22 @@ def test_lines_and_levels_are_told(gyrofleet: Callable[..., Any], store: Path) -
     assert re.search(r"│ 12\.34\d+ ± 0\.000\d+ │ [23]\.\d+ │", reported)
 
 
+def test_a_line_that_moves_an_outlier_and_lost_samples_are_named(gyrofleet: Callable[..., Any], store: Path) -> None:
+    result = gyrofleet(*ask(store, "--json", run="faulty")).json
+    (line,) = result["lines"]
+    assert line["is_steady"] is False
+    assert line["lo"] <= 60.0 <= line["hi"]
+    assert line["frequency_lo_hz"] <= 50.1 <= line["frequency_hi_hz"]
+    assert 0.15 < line["frequency_hi_hz"] - line["frequency_lo_hz"] < 0.25  # it moves by 0.2 Hz
+    assert (result["outliers"], result["bridged"], result["segments_left_out"]) == (1, 3, 0)
+    assert np.median(result["psd"]) == pytest.approx(LEVEL, rel=0.1)
+    done = gyrofleet(*ask(store, run="faulty"))
+    reported = " ".join(done.out.split())
+    assert reported.index("isolated outliers are left out: 1, up to") < reported.index("Lines (谱线)")
+    assert "Hz there is not one steady sinusoid over the record" in reported
+    assert "not steady 不稳定" in reported
+
+
 @pytest.mark.long
 def test_without_a_line_that_is_said_with_what_was_tested(gyrofleet: Callable[..., Any], store: Path) -> None:
     assert gyrofleet(*ask(store, "--json", signal="rate_y")).json["lines"] == []
@@ -101,7 +121,7 @@ def test_a_temperature_stays_in_its_own_unit(gyrofleet: Callable[..., Any], stor
 @pytest.mark.long
 def test_segments_are_shortened_until_gaps_leave_some_whole(gyrofleet: Callable[..., Any], store: Path) -> None:
     result = gyrofleet(*ask(store, "--json", run="holed")).json
-    assert (result["samples"], result["missing"]) == (59_940, 59)
+    assert (result["samples"], result["missing"]) == (59_760, 236)
     assert result["segment_samples"] == 512
     assert result["segments"] >= 60
     assert result["segments_left_out"] > 0
@@ -119,7 +139,7 @@ def test_what_has_no_spectrum_is_refused_with_the_reason(gyrofleet: Callable[...
         assert f"unit FOG-1, signal rate_x, run {run}: no power spectral density: {reason}" in refused.err
         assert refused.err.count("\n") == 1
     answer = gyrofleet(*ask(store, "--json", run="uneven"))
-    assert answer.json["error"]["kind"] == "NotFound"
+    assert answer.json["error"]["kind"] == "NotEnoughData"
     assert "it holds rate_x, rate_y, temperature" in gyrofleet(*ask(store, signal="rate")).err
 
 

@@ -123,7 +123,7 @@ def local_background(average: WelchAverage) -> tuple[IntArray, FloatArray]:
     flanks = np.lib.stride_tricks.sliding_window_view(density, FLANK_BINS)
     medians = np.median(flanks, axis=1)
     mean = 0.5 * medians[tested - REACH_BINS] + 0.5 * medians[tested + GUARD_BINS + 1]
-    return tested, mean / _median_ratio(average.edf)
+    return tested, mean / median_ratio(average.edf)
 
 
 @lru_cache(maxsize=256)
@@ -138,7 +138,7 @@ def background_edf(edf: float) -> float:
     (23.7, 3134)
     """
     shape = edf / 2.0
-    median = _median_ratio(edf)
+    median = median_ratio(edf)
     exponent = shape * math.log(shape * median) - shape * median - float(scipy.special.gammaln(shape))
     slope = math.exp(exponent)
     variance = _MEDIAN_CORRELATION / (4.0 * 2.0 * FLANK_BINS * slope**2)
@@ -146,7 +146,8 @@ def background_edf(edf: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def _median_ratio(edf: float) -> float:
+def median_ratio(edf: float) -> float:
+    """Median of a density of `edf` degrees of freedom over its mean."""
     return float(scipy.special.gammaincinv(edf / 2.0, 0.5)) / (edf / 2.0)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from analytics.curves.spectrum import Level, SignalSpectrum, _result, segment_for
+from analytics.curves.spectrum import Level, SignalSpectrum, segment_for, spectrum_from
 from analytics.plots import figure_file, spectrum_plot
 from analytics.plots.spectrum_plot import plot_spectrum
 from storage.sql.reading import SignalRecord
@@ -23,9 +23,9 @@ LEVEL = 2.0 * SIGMA**2 * INTERVAL_S
 
 
 def spectrum(values: FloatArray, segment_samples: int = 1024, unit_of_measure: str = "deg/h") -> SignalSpectrum:
-    spectral = SpectralDensity(segment_samples)
-    spectral.update(SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, unit_of_measure, values=values))
-    return _result(SignalRecord("FOG-1", "rate", "r1", unit_of_measure, len(values), False), spectral)
+    batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, unit_of_measure, values=values)
+    record = SignalRecord("FOG-1", "rate", "r1", unit_of_measure, len(values), False)
+    return spectrum_from(record, lambda: [batch], segment_samples)
 
 
 def white(n: int = 40_000, seed: int = 1) -> FloatArray:

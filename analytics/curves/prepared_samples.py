@@ -1,0 +1,302 @@
+"""Samples of a record as its spectrum takes them: outliers and short gaps bridged, slow changes subtracted."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from stream.batch import FloatArray, SampleBatch, first_finite
+from stream.clock import GridTracker, contiguous_runs
+from stream.defects.outliers import is_motion, isolated_at
+from stream.defects.repeats import repeated_share
+from stream.estimators.base import NoEstimate
+from stream.estimators.spectral_density import SpectralDensity
+from stream.estimators.spectrum.spectral_lines import Spectrum
+
+SHORT_GAP = 3  # samples that are bridged by a straight line
+_PIECES = 4  # of the spline, from which on there is one
+_STIFF = 1e-9
+# cubic B-splines on 0 .. 1 by powers of the place
+_BASIS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+
+
+def runs_of(batches: Iterable[SampleBatch], tracker: GridTracker) -> Iterator[tuple[int, FloatArray]]:
+    """Stretches of a signal on the slots of its grid: the first slot and the values, NaN where missing."""
+    for batch in batches:
+        if pieces := tracker.place(batch):
+            yield from contiguous_runs(batch, pieces)
+
+
+class SlowChange:
+    """A cubic spline through a signal, fitted by least squares, with a knot every `spacing` slots.
+
+    It follows what is slower than half a period in `spacing` slots: with knots as far apart as segments are long, half
+    a bin of their spectrum. Bins from 2 on hardly see that it is taken off: of white noise in records of 7 segment
+    lengths the density of bin 2 becomes 1.5 % less, of the others nothing.
+
+    >>> slow = SlowChange(1000)
+    >>> slow.take(0, 30.0 * np.exp(-np.arange(8000) / 3000.0))
+    >>> slow.fit(8000)
+    >>> bool(abs(slow.at(0, 8000) - 30.0 * np.exp(-np.arange(8000) / 3000.0)).max() < 0.01)
+    True
+    """
+
+    def __init__(self, spacing: int) -> None:
+        self.spacing = spacing
+        self.span = 0.0  # between the largest and the least value of the spline
+        self._reference = np.nan
+        self._products: FloatArray = np.zeros((0, 7))
+        self._moments: FloatArray = np.zeros((0, 4))
+        self._powers: FloatArray = np.zeros((0, 4))
+
+    def take(self, first_slot: int, values: FloatArray) -> None:
+        """Take in values on the slots from `first_slot` on; NaN is missing."""
+        if np.isnan(self._reference):
+            self._reference = first_finite(values)
+        for piece, place, part in self._parts(first_slot, values):
+            more = piece + 1 - len(self._moments)
+            if more > 0:
+                self._products = np.vstack([self._products, np.zeros((max(more, len(self._moments)), 7))])
+                self._moments = np.vstack([self._moments, np.zeros((max(more, len(self._moments)), 4))])
+            known = np.isfinite(part)
+            powers = np.vander(place[known], 7, increasing=True)
+            self._products[piece] += powers.sum(axis=0)
+            self._moments[piece] += powers[:, :4].T @ (part[known] - self._reference)
+
+    def fit(self, slots: int) -> None:
+        """Fit the spline to what was taken in, of a record of so many slots; none to less than four pieces."""
+        pieces = int(np.flatnonzero(self._products[:, 0]).max(initial=-1)) + 1
+        if pieces < _PIECES or not np.isfinite(self._moments).all():
+            return
+        size = pieces + 3
+        banded, right = np.zeros((4, size)), np.zeros(size)
+        pairs = np.add.outer(np.arange(4), np.arange(4))
+        bend = np.array([1.0, -2.0, 1.0])
+        for piece in range(pieces):
+            square = _BASIS.T @ self._products[piece][pairs] @ _BASIS
+            square[:3, :3] += _STIFF * self.spacing * np.outer(bend, bend)
+            square[1:, 1:] += _STIFF * self.spacing * np.outer(bend, bend)
+            for lag in range(4):
+                banded[lag, piece : piece + 4 - lag] += np.diagonal(square, -lag)
+            right[piece : piece + 4] += _BASIS.T @ self._moments[piece]
+        if not np.isfinite(right).all():
+            return
+        weights = scipy.linalg.solveh_banded(banded, right, lower=True)
+        self._powers = np.lib.stride_tricks.sliding_window_view(weights, 4) @ _BASIS.T
+        looked = [*range(0, slots, self.spacing // 4), slots - 1]
+        self.span = float(np.ptp([self.at(slot, 1)[0] for slot in looked]))
+
+    def at(self, first_slot: int, n: int) -> FloatArray:
+        """The spline on n slots; 0 where none was fitted."""
+        out = np.zeros(n)
+        if len(self._powers):
+            for piece, place, part in self._parts(first_slot, out):
+                part[:] = self._reference + np.polynomial.polynomial.polyval(
+                    place, self._powers[min(piece, len(self._powers) - 1)]
+                )
+        return out
+
+    def _parts(self, first_slot: int, values: FloatArray) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+        """The values by pieces of the spline: number of the piece, places in it from 0 to 1, values."""
+        done = 0
+        while done < len(values):
+            piece, begin = divmod(first_slot + done, self.spacing)
+            part = values[done : done + self.spacing - begin]
+            yield piece, (begin + np.arange(len(part)) + 0.5) / self.spacing, part
+            done += len(part)
+
+
+class Preparation:
+    """Looks a record through, then prepares its samples.
+
+    Isolated outliers (nine standard deviations from the mean of their neighbours) are missing samples. Gaps of up to
+    3 samples are bridged by a straight line where `is_bridged`; longer ones stay. `slow` is subtracted.
+    """
+
+    def __init__(self, segment_samples: int, samples: int) -> None:
+        # pieces of the spline that end with the record, if it has no gap: a short last one is hardly held
+        self.slow = SlowChange(-(-samples // max(1, samples // segment_samples)))
+        self.is_bridged = True
+        self.outliers, self.largest_outlier = 0, 0.0
+        self.short_gaps = 0  # missing samples in gaps of up to 3, outliers included
+        self.repeated = 0.0
+        self.slots = 0
+        # density that bridging adds, times the sample interval: mean square error of a value between its neighbours
+        self._added = 0.0
+        self._next, self._last = 0, np.nan
+
+    def look_through(self, batches: Iterable[SampleBatch]) -> None:
+        """Take in the whole record."""
+        tracker = GridTracker()
+        repeated = samples = 0.0
+        errors, gap_samples = np.zeros(2), np.zeros(2)
+        end = 0
+        for first_slot, values in runs_of(batches, tracker):
+            far = isolated_at(values)
+            self.outliers += len(far)
+            self.largest_outlier = max(self.largest_outlier, *far.values(), 0.0)
+            kept = values.copy()
+            kept[list(far)] = np.nan
+            self.slow.take(first_slot, kept)
+            finite = np.flatnonzero(np.isfinite(kept))
+            if not finite.size:
+                continue
+            gaps = np.diff(np.r_[end - 1, finite + first_slot]) - 1
+            gap_samples += (gaps == 1).sum(), gaps[(gaps > 1) & (gaps <= SHORT_GAP)].sum()
+            end = first_slot + int(finite[-1]) + 1
+            value = kept[finite]
+            repeated += repeated_share(value) * value.size
+            between = value[2:-2] - 0.5 * np.stack([value[1:-3] + value[3:-1], value[:-4] + value[4:]])
+            if between.size:
+                with np.errstate(over="ignore"):  # values too large to be squared are refused with their density
+                    errors += (between**2).mean(axis=1) * value.size
+                samples += value.size
+        self.short_gaps, self.slots = int(gap_samples.sum()), end
+        if is_motion(self.outliers, tracker.samples):
+            self.outliers, self.largest_outlier, self.is_bridged = 0, 0.0, False
+        self._added = float(gap_samples @ errors) / max(samples * end, 1.0) if self.short_gaps else 0.0
+        self.repeated = repeated / max(tracker.samples, 1)
+        self.slow.fit(end)
+
+    @property
+    def bridged(self) -> int:
+        """Samples that are bridged."""
+        return self.short_gaps if self.is_bridged else 0
+
+    @property
+    def share(self) -> float:
+        """Share of the samples that are bridged."""
+        return self.bridged / max(self.slots, 1)
+
+    def passed(self, turns: FloatArray) -> FloatArray:
+        """What bridging leaves of an amplitude, at frequencies in cycles a slot."""
+        return np.asarray(1.0 - self.share * (1.0 - np.cos(2.0 * np.pi * turns)), np.float64)
+
+    def corrected(self, density: FloatArray, turns: FloatArray, scale: float) -> FloatArray:
+        """A density without what bridging makes of it, no less than a tenth of it.
+
+        A share p of samples at random that are replaced by the mean of their neighbours, of the mean square error V:
+
+            S'(f) = S(f) (1 - p (1 - cos 2 pi f dt))**2 + 2 dt p V,    `scale` 2 dt.
+
+        V is that of all samples of the record, for gaps of 2 and 3 at twice the distance.
+        """
+        own = np.maximum(density - scale * self._added, 0.1 * density)
+        return np.asarray(own / self.passed(turns) ** 2, np.float64)
+
+    def restart(self) -> None:
+        """Begin with the first sample again."""
+        self._next, self._last = 0, np.nan
+
+    def apply(self, first_slot: int, values: FloatArray) -> tuple[int, FloatArray]:
+        """The next values with the slot of the first one, prepared; a gap at their end comes with those that follow."""
+        if self.outliers:
+            values = values.copy()
+            values[list(isolated_at(values))] = np.nan
+        finite = np.flatnonzero(np.isfinite(values))
+        if not finite.size:
+            return first_slot, values[:0]
+        start, values = first_slot + int(finite[0]), values[finite[0] : finite[-1] + 1]
+        gap = start - self._next
+        if self.is_bridged and 0 < gap <= SHORT_GAP and np.isfinite(self._last):
+            start, values = self._next, np.concatenate([np.full(gap, np.nan), values])
+            values[:gap] = np.interp(np.arange(gap), [-1.0, gap], [self._last, values[gap]])
+        self._next, self._last = start + len(values), float(values[-1])
+        if self.is_bridged and np.isnan(values).any():
+            values = _bridged(values)
+        return start, values - self.slow.at(start, len(values))
+
+
+def _bridged(values: FloatArray) -> FloatArray:
+    """Gaps of up to 3 samples bridged by straight lines; the first and the last value are there."""
+    known = np.flatnonzero(np.isfinite(values))
+    bridged = np.interp(np.arange(len(values)), known, values[known])
+    after = np.flatnonzero(np.diff(known) > SHORT_GAP + 1)
+    for left, right in zip(known[after].tolist(), known[after + 1].tolist(), strict=True):
+        bridged[left + 1 : right] = np.nan
+    return bridged
+
+
+class PreparedDensity(SpectralDensity):
+    """The spectral density of prepared samples, with the mean of every sixteenth of a segment."""
+
+    def __init__(self, segment_samples: int, confidence: float, preparation: Preparation) -> None:
+        super().__init__(segment_samples, confidence)
+        self.preparation = preparation
+        preparation.restart()
+        self._sums: dict[int, tuple[float, int]] = {}
+
+    def _take_run(self, first_slot: int, values: FloatArray) -> None:
+        start, prepared = self.preparation.apply(first_slot, values)
+        if prepared.size:
+            super()._take_run(start, prepared)
+            self._take_means(start, prepared)
+
+    def _take_means(self, first_slot: int, values: FloatArray) -> None:
+        size = self.segment_samples // 16
+        begins = np.r_[0, np.arange(size - first_slot % size, len(values), size)]
+        counts = np.diff(np.r_[begins, len(values)])
+        for begin, total, count in zip(
+            begins.tolist(), np.add.reduceat(values, begins).tolist(), counts.tolist(), strict=True
+        ):
+            block = (first_slot + begin) // size
+            earlier = self._sums.get(block, (0.0, 0))
+            self._sums[block] = earlier[0] + total, earlier[1] + count
+
+    @property
+    def factor(self) -> float:
+        """From the unit of the samples to that of the results."""
+        return self._factor
+
+    @property
+    def scale(self) -> float:
+        """From the mean square of a sample to the one-sided density of such white noise."""
+        return 2.0 * self.sample_interval_s * self._factor**2
+
+    def corrected(self, spectrum: Spectrum) -> Spectrum:
+        """The spectrum without what bridging makes of it; the relative bounds stay."""
+        if not self.preparation.bridged:
+            return spectrum
+        density = self.preparation.corrected(
+            spectrum.density, spectrum.frequency_hz * self.sample_interval_s, self.scale
+        )
+        ratio = np.divide(density, spectrum.density, out=np.ones_like(density), where=spectrum.density > 0.0)
+        return replace(spectrum, density=density, lo=ratio * spectrum.lo, hi=ratio * spectrum.hi)
+
+    def bridging_correction(self) -> float:
+        """Largest relative correction for bridged samples, over all bins but the tenth with the least density."""
+        spectrum = self.estimate()
+        if isinstance(spectrum, NoEstimate) or not (spectrum.density > 0.0).all():
+            return 0.0
+        return float(np.quantile(np.abs(self.corrected(spectrum).density / spectrum.density - 1.0), 0.9))
+
+    def slow_part(self) -> npt.NDArray[np.float64]:
+        """Density that a cubic through each segment has in every bin from 0 on, by its sidelobes under the Hann window.
+
+        What is left of slow changes within segments reaches the lowest bins by it.
+        """
+        size, blocks = self.segment_samples, 16
+        means = np.full(max(self._sums, default=-1) + 1, np.nan)
+        for block, (total, count) in self._sums.items():
+            if count == size // blocks:
+                means[block] = total / count
+        if len(means) < blocks:
+            return np.zeros(size // 2 + 1)
+        segments = np.lib.stride_tricks.sliding_window_view(means, blocks)[:: blocks // 2]
+        segments = segments[np.isfinite(segments).all(axis=1)]
+        middles = (np.arange(blocks) + 0.5) / blocks - 0.5
+        basis, upper = np.linalg.qr(np.vander(middles, 4, increasing=True))
+        fine = np.vander((np.arange(size) + 0.5) / size - 0.5, 4, increasing=True) @ np.linalg.inv(upper)
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
+        shapes = np.fft.rfft(window[:, np.newaxis] * fine[:, 1:], axis=0)
+        parts = segments @ basis[:, 1:]
+        power = _mean_power(shapes, parts) if len(parts) else np.zeros(size // 2 + 1)
+        return np.asarray(self.scale / (0.375 * size) * power, np.float64)
+
+
+def _mean_power(shapes: npt.NDArray[np.complex128], parts: FloatArray) -> FloatArray:
+    """Mean over segments of the squared sums of shapes times parts."""
+    products = parts.T @ parts / len(parts)
+    return np.asarray(np.einsum("ki,ij,kj->k", shapes.conj(), products, shapes).real, np.float64)
