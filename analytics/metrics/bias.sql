@@ -24,8 +24,13 @@ with corrected as (
   select *, unnest(case when is_attitude_known or lacks_body_axis then ['none', 'removed'] else ['none'] end) as earth_rate
   from internal.bias_steps
 ), judged as (
-  select *, coalesce(lack, case when earth_rate = 'removed' then
-    case when lacks_body_axis then no_body_axis() when earth_deg_per_h is null then no_latitude() end end) as missing
+  select *,
+    -- GJB lays the IRA east-west, JJF stands it upright; a bias measured with it north is of neither
+    coalesce(regexp_matches(position, '^IRA_(east|west|east_west)$'), false) as is_level_east,
+    coalesce(regexp_matches(position, '^IRA_(north|south)$'), false) as is_level_north,
+    is_attitude_known and side_in(position) is not null as is_upright,
+    coalesce(lack, case when earth_rate = 'removed' then
+      case when lacks_body_axis then no_body_axis() when earth_deg_per_h is null then no_latitude() end end) as missing
   from corrected
 )
 select
@@ -38,15 +43,15 @@ select
   {
     earth_rate: earth_rate, scale_factor: scale_source, position: position, repeat: repeat,
     duration_s: round(duration_s), whole_seconds: case when whole_seconds < duration_s then whole_seconds end,
-    n_effective: round(n_effective, 1), remark: remark
+    n_effective: round(n_effective, 1), remark: nullif(concat_ws('; ', remark, case when is_level_north then
+      'the input axis lies north-south: GJB 2426A lays it east-west, JJF 2014 stands it upright' end), '')
   } as parameters,
   [run] as runs,
   ["index"] as steps,
-  -- GJB lays the IRA east-west, JJF stands it upright
-  case when regexp_matches(position, '^IRA_(east|west|east_west)$') then 'GJB2426A'
-    when is_attitude_known and side_in(position) is not null then 'JJF2014' end as standard,
-  case when regexp_matches(position, '^IRA_(east|west|east_west)$') then '5.12.1 (19)'
-    when is_attitude_known and side_in(position) is not null then '7.2.13 (27)(28)' end as clause,
+  case when is_level_east then 'GJB2426A' when is_upright then 'JJF2014' when is_level_north then 'informative' end
+    as standard,
+  case when is_level_east then '5.12.1 (19)' when is_upright then '7.2.13 (27)(28)'
+    when is_level_north then 'mean of a static step' end as clause,
   missing as reason,
   deg_per_h, mean_deg_per_h as raw_deg_per_h
 from judged

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ingest.commands.import_report import LISTED_FILES, report_files
+from ingest.commands.import_warnings import warn_of_overdue, warn_of_words
 from stream.errors import BadInput
-from stream.mistakes import near_name
 from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.terminal.console import (
@@ -122,7 +122,7 @@ def import_files(
         renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'", may_be_empty=True) for each in renames),
         time_zone=about.get("time_zone"),
     )  # fmt: skip
-    _warn_of_words(procedure, position)
+    warn_of_words(procedure, position)
     plan = _can_mapping(files, unit, databases, mapping, variants)
     entries = () if units_file is None else read_units(units_file).entries
     intervals: dict[tuple[str, str, str], int] = {}
@@ -135,6 +135,7 @@ def import_files(
             summary = file.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
             progress.update(task, completed=1.0, visible=len(files) <= LISTED_FILES)
             checked.append(CheckedFile(path, file, summary, time.monotonic() - began))
+    warn_of_overdue(station, [each.summary for each in checked])
     if connect is None:
         compile_new_kernels(quiet=as_json)
     with interrupted_by_term(), progress_bar(hidden=as_json) as progress:
@@ -169,33 +170,6 @@ def import_files(
         report_files(imported, folder)
     if any(each.damage for each in imported):
         sys.exit(1)
-
-
-def _warn_of_words(procedure: str | None, position: str | None) -> None:
-    """Warn of a procedure or position that no characteristic uses: perhaps a typing error."""
-    if not procedure and not position:
-        return
-    from ingest.procedures.file import ready_names, ready_text
-    from ingest.procedures.procedure import load_procedure
-
-    if procedure and procedure not in ready_names():
-        near = near_name(procedure, ready_names()) or ":"
-        notes().print(
-            f"warning: --procedure {procedure} is none of gyrofleet's, which `gyrofleet procedure list` has{near} "
-            f"the step is judged by its position alone",
-            soft_wrap=True,
-        )
-    if position:
-        known: set[str] = set()
-        # one that has the word in its text comes first: planning the steps of all takes longer than a small import
-        for name in sorted(ready_names(), key=lambda name: position not in ready_text(name)):
-            known.update(each for step in load_procedure(name).steps() if (each := step.words.position))
-            if position in known:
-                return
-        named = ", ".join(sorted(known))
-        notes().print(
-            f"warning: --position {position} is none of {named}: nothing tells how the input axis lies", soft_wrap=True
-        )
 
 
 def _stated_place(site: str | None, station: str | None, location: dict[str, Any]) -> "tuple[Place, dict[str, str]]":

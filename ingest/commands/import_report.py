@@ -84,10 +84,16 @@ def _report_damage(imported: "FileImport") -> None:
 def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
     added, seconds = sum(each.added for each in imported), sum(each.seconds for each in imported)
     is_counted = all(signal.in_lake is not None for each in imported for signal in each.signals)
-    where = f"in the lake of {folder}, each once" if is_counted else "sent and acknowledged as recorded"
+    where = f"in {_lake(imported[0], folder)}, each once" if is_counted else "sent and acknowledged as recorded"
     undated = sum(not each.date_known for each in imported)
     date = f" The date of {undated} files is unknown, as no --start was given." if undated else ""
     return f"{len(imported)} files: {added:,} samples {where} ({seconds:.1f} s).{date}"
+
+
+def _lake(imported: "FileImport", folder: Path) -> str:
+    """The lake that has the samples: where a recorder of another store took them, its store by its identity."""
+    elsewhere = imported.recorder_store
+    return f"the lake of {folder}" if elsewhere is None else f"the lake of the recorder's store {elsewhere}"
 
 
 def _report_next(imported: "FileImport", folder: Path) -> None:
@@ -112,11 +118,14 @@ def _report_next(imported: "FileImport", folder: Path) -> None:
     signal = next((each for each in here if is_angular_rate(each.unit_of_measure)), here[0])
     which = f"--unit {shlex.quote(signal.unit)} --signal {shlex.quote(signal.signal)} --run {shlex.quote(signal.run)}"
     store = "" if str(folder) == DEFAULT_STORE else f" --store {shlex.quote(str(folder))}"
+    where = ""
+    if imported.recorder_store is not None:
+        store, where = " --store STORE", f", STORE the folder of the recorder's store {imported.recorder_store}"
     is_fit = is_angular_rate(signal.unit_of_measure) and (signal.in_lake or 0) >= _FEWEST_OF_FIT
     how = " --fit" if is_fit else ""
     if signal.irregular:
         how = f" --resample {10 * signal.sample_interval_s:.3g}"  # Allan's deviation needs a grid
-    notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True)
+    notes().print(f"Ask it: gyrofleet allan {which}{how}{store}{where}", soft_wrap=True)
 
 
 def _has_steps(imported: "FileImport", folder: Path) -> bool:
@@ -124,6 +133,8 @@ def _has_steps(imported: "FileImport", folder: Path) -> bool:
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
+    if imported.recorder_store is not None:
+        return False
     before = {(each.unit, each.run) for each in imported.signals if each.already_stored and each.in_lake is not None}
     if not before:
         return False
@@ -149,7 +160,7 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     date = "" if imported.date_known else " Their date is unknown, as no --start was given."
     if any(signal.in_lake is None for signal in imported.signals):
         return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"
-    added = f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once"
+    added = f"{imported.added:,} samples in, {imported.added:,} more in {_lake(imported, folder)}, each once"
     return f"{added}{steps} ({speed}).{date}"
 
 

@@ -90,6 +90,7 @@ class FileImport:
     remarks: tuple[str, ...] = ()
     frames: "CanCounts | None" = None
     restated: tuple[Restated, ...] = ()  # stored runs whose station this file states
+    recorder_store: str | None = None  # identity of the recorder's store, where that is not the one of this command
 
     @property
     def added(self) -> int:

@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -133,4 +134,5 @@ def _sent_to_recorder(
             publisher.drain()
             client.settle()
             in_lake = counted(client, group, f"the log of the recorder at {connect}")
-    yield from _results(group, in_lake, began)
+    elsewhere = None if client.store == identity else client.store
+    yield from (replace(each, recorder_store=elsewhere) for each in _results(group, in_lake, began))

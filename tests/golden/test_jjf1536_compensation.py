@@ -124,10 +124,9 @@ def test_while_the_table_turns_the_level_axes_sweep_the_earths_rate(lab: Path, r
     latitude = math.radians(LATITUDE_DEG)
     sheet, truth = Sheet(ANGLES, WORDS), []
     for name, (turn_deg, lasts_s) in cases.items():
-        sheet.step(
-            {"X": ramp(0.0, lasts_s), "Y": ramp(0.0, lasts_s), "Z": ramp(turn_deg, lasts_s)},
-            procedure="attitude", axis="Z", step=name, position="X_east_Y_north", rate_command=turn_deg / lasts_s,
-        )  # fmt: skip
+        samples = {"X": ramp(0.0, lasts_s), "Y": ramp(0.0, lasts_s), "Z": ramp(turn_deg, lasts_s)}
+        words = {"procedure": "attitude", "axis": "Z", "position": "X_east_Y_north", "rate_command": turn_deg / lasts_s}
+        sheet.step(samples, step=name, **words)
         angle = np.radians(turn_deg) * (np.arange(n) + 0.5) / n
         earth_deg = EARTH_DEG_PER_H / 3600 * lasts_s
         swept = [

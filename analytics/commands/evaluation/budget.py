@@ -59,6 +59,8 @@ def budget(
     check_metrics([metric])
     if factor is not None and probability is not None:
         raise BadInput("--k and --p exclude each other: one follows from the other and the degrees of freedom")
+    if probability is not None and 1 < probability < 100:
+        raise BadInput(f"--p {probability:g}: a probability is below 1, did you mean {probability / 100:g}?")
     with opened_catalog(folder, quiet=as_json) as catalog:
         found = value_budgets(catalog, unit, metric, run)
     if standard is not None:
@@ -113,16 +115,19 @@ def _print(
             "：" if is_zh else ": ",
             "；" if is_zh else "; ",
         )
-        console.print(f"{shown} {measure}{apart}{no_expanded}{colon}{apart.join(why)}")
+        measured = f"{shown} {measure}".strip()
+        console.print(f"{measured}{apart}{no_expanded}{colon}{apart.join(why)}")
     else:
         value, half = round_with(of.value, expanded.expanded)
-        line = f"{value} {measure}, U = {half} {measure} (k = {expanded.k:.2f}, p = {100 * expanded.p:.2f} %)"
+        stated, half = f"{value} {measure}".strip(), f"{half} {measure}".strip()
+        line = f"{stated}, U = {half} (k = {expanded.k:.2f}, p = {100 * expanded.p:.2f} %)"
         console.print(f"{line}, {expanded.method}")
     if check is not None and expanded is not None:
         verdict = "confirms" if check.confirms(expanded) else "does not confirm"
         console.print(
-            f"JCGM 101: u = {check.u:.3g}, {of.value + check.lo:.9g} .. {of.value + check.hi:.9g} {measure}, "
-            f"{check.trials:,} trials: {verdict} the first order"
+            f"JCGM 101: u = {check.u:.3g}, "
+            + f"{of.value + check.lo:.9g} .. {of.value + check.hi:.9g} {measure}".strip()
+            + f", {check.trials:,} trials: {verdict} the first order"
         )
     for source in dict.fromkeys(each.source for each in of.components if each.evaluation == "B" and each.source):
         notes().print(f"type B: {source}", soft_wrap=True)

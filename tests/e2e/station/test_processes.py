@@ -76,6 +76,20 @@ def listening_addresses(pid: int) -> set[str]:
     return found
 
 
+@pytest.mark.long
+def test_an_import_to_a_recorder_of_another_store_names_that_store(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    recorder(spawn, endpoint, "--store", "remote")
+    sent = gyrofleet("import", table(tmp_path / "a.parquet", 500), "--unit", "U1", "--connect", endpoint)
+    assert sent.code == 0, sent.err
+    identity = json.loads((tmp_path / "remote" / "store.json").read_text())["id"]
+    said = " ".join(f"{sent.out} {sent.err}".split())
+    assert f"1,500 more in the lake of the recorder's store {identity}, each once" in said
+    assert f"--store STORE, STORE the folder of the recorder's store {identity}" in said
+    assert "gyrofleet-data" not in said
+
+
 @pytest.mark.long  # in the gate: `crash/test_kills.py`
 def test_recorder_estimator_and_source_as_processes(
     gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
