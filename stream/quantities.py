@@ -24,7 +24,7 @@ _PLAIN = {0xFF01 + at: chr(0x21 + at) for at in range(94)} | {
     ord("′"): "arcmin", ord("‰"): "permille", 0x3000: " ",
 }  # fmt: skip
 _STRANGE = re.compile(r"[^A-Za-z0-9\s._*/^()+\-%°ºµμΩΩÅ²³¹⁰⁴⁵⁶⁷⁸⁹⁻·⋅×]")
-_HIGH_POWER = re.compile(r"\d{4}|(?:\*\*|\^).*(?:\*\*|\^)[^A-Za-z]*$|\d\s*(?:\*\*|\^)")
+_HIGH_POWER = re.compile(r"\d{4}|(?:\*\*|\^).*(?:\*\*|\^)[^A-Za-z]*$|(?<![\w.])[\d.]+\s*(?:\*\*|\^)")
 _LONGEST = 100
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
