@@ -6,6 +6,7 @@ import threading
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
+from stream.chinese_units import CHINESE_UNITS
 from stream.errors import UnknownUnit
 from stream.known_units import KNOWN, NUMBERS
 
@@ -28,8 +29,10 @@ _HIGH_POWER = re.compile(r"\d{4}|(?:\*\*|\^).*(?:\*\*|\^)[^A-Za-z]*$|(?<![\w.])[
 _LONGEST = 100
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
-    *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "1"),
+    *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "ohm", "Mohm", "1"),
 )
+# one or two of each quantity that is measured
+_LISTED = ("deg/s", "deg/h", "rad/s", "g_0", "m/s^2", "degC", "V", "mA", "ohm", "Mohm", "Hz", "s", "count", "Pa", "1")
 
 
 _one_defines = threading.Lock()
@@ -57,12 +60,17 @@ def read_definitions() -> None:
 
 
 def plain_unit(text: str) -> str:
-    """A unit in the letters that units have here: full-width ones and roots are written otherwise.
+    """A unit in the letters that units have here: Chinese words, full-width letters and roots are written otherwise.
 
     >>> plain_unit("°／h"), plain_unit("℃"), plain_unit("°/√h"), plain_unit("°/√(h)"), plain_unit("mdps/rtHz")
     ('°/h', 'degC', '°/sqrt(h)', '°/sqrt(h)', 'mdps/sqrt(Hz)')
+    >>> plain_unit("度每小时"), plain_unit("兆欧")
+    ('deg/h', 'Mohm')
     """
-    return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2] or match[3]})", text.translate(_PLAIN))
+    plain = text.translate(_PLAIN)
+    if (word := CHINESE_UNITS.get("".join(plain.split()))) is not None:
+        return word
+    return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2] or match[3]})", plain)
 
 
 @cache
@@ -87,7 +95,7 @@ def check_unit(text: str) -> str:
         _registry().parse_units(text)
     except Exception as error:
         near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"known units are: {', '.join(_COMMON[:8])}"
+        hint = f"did you mean {', '.join(near)}?" if near else f"known units are: {', '.join(_LISTED)}"
         raise UnknownUnit(f"unit of measure {text!r} is not known; {hint}") from error
     return text
 

@@ -37,9 +37,12 @@ with step as (
   group by all
 ), own as (
   select run, unit, t_from_ns, t_to_ns,
-    min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature') as temperature,
+    coalesce(min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature'),
+      min(deg_c(mean, unit_of_measure)) filter (signal = '陀螺温度'),
+      min(deg_c(mean, unit_of_measure)) filter (signal in ('产品温度', '温度'))) as temperature,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'chamber_temperature') as chamber_temperature,
-    max(moved_deg_c) filter (signal = 'temperature') as moved,
+    coalesce(max(moved_deg_c) filter (signal = 'temperature'), max(moved_deg_c) filter (signal = '陀螺温度'),
+      max(moved_deg_c) filter (signal in ('产品温度', '温度'))) as moved,
     max(moved_deg_c) filter (signal = 'chamber_temperature') as chamber_moved,
     min(if(unit_of_measure = 'deg/s', mean, deg_per_h(mean, unit_of_measure) / 3600)) filter (signal = 'table_rate')
       as table_rate

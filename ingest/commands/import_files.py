@@ -41,7 +41,10 @@ _PATH = click.Path(path_type=Path)
 @store_option
 @click.option("--unit", help="Unit (serial number) of the samples, if the file has no column 'unit'.")
 @click.option("--run", help="Run of the samples, if the file has no column 'run'.  [default: the file's name]")
-@click.option("--start", help="Start of the run, if times count from it: 2026-11-21T18:00:00+08:00.")
+@click.option(
+    "--start",
+    help="Start of the run, if times count from it: 2026-11-21T18:00:00+08:00; with --time-zone also 2026/11/21 18:00.",
+)
 @click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
 @click.option(
     "--rename", "renames", metavar="TITLE=SIGNAL", multiple=True,
@@ -90,8 +93,9 @@ def import_files(
     """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
 
     Every sample takes the path of live data: over the bus, into the log and the lake, through the estimators. All
-    files are checked before the first is imported. A file that is stored already adds nothing; give the same command
-    again to complete an import that was interrupted.
+    files are read and checked before the first is imported. What contradicts the store, as the same rows at other
+    times, is found file by file: the files before it are then imported. A file that is stored already adds nothing;
+    give the same command again to complete an import that was interrupted.
 
     Titles of other programs, as `Time (s)` and `Gyro X (deg/s)`, ISO 8601 time stamps, decimal commas and lines of
     comment (#) are understood. CAN logs are .blf, .asc, .trc, .log (candump) and .mf4. Without --mapping, every
@@ -105,7 +109,6 @@ def import_files(
     """
     from ingest.importing.file_sending import CheckedFile
     from ingest.importing.importer import import_files as import_checked
-    from ingest.moment import moment_ns
     from ingest.station.units_file import read_units
     from ingest.tables.columns import TableOptions
     from stream.events import StepWords
@@ -117,7 +120,7 @@ def import_files(
     place, about = _stated_place(site, station, location)
     words = StepWords(procedure=procedure or None, position=position or None)
     options = TableOptions(
-        unit=unit, run=run, start_ns=None if start is None else moment_ns(start), sample_rate_hz=sample_rate_hz,
+        unit=unit, run=run, start_ns=_start_ns(start, about.get("time_zone")), sample_rate_hz=sample_rate_hz,
         skip_bad=skip_bad, words=words if procedure or position else None,
         renames=tuple(_pair(each, "--rename", "'Gyro X=gyro_x'", may_be_empty=True) for each in renames),
         time_zone=about.get("time_zone"),
@@ -170,6 +173,17 @@ def import_files(
         report_files(imported, folder)
     if any(each.damage for each in imported):
         sys.exit(1)
+
+
+def _start_ns(text: str | None, zone: str | None) -> int | None:
+    """The start that was given; in a `zone` it may be written as time stamps of tables are."""
+    from ingest.moment import moment_ns
+    from ingest.tables.times import ns_from_stamp
+
+    if text is None:
+        return None
+    found = None if zone is None else ns_from_stamp(text.strip(), zone)
+    return moment_ns(text) if found is None else found
 
 
 def _stated_place(site: str | None, station: str | None, location: dict[str, Any]) -> "tuple[Place, dict[str, str]]":

@@ -23,7 +23,7 @@ from ingest.importing.shared_runs import (
 from ingest.importing.station_details import Restated, check_details, restated
 from ingest.importing.stored import StoredSamples
 from ingest.importing.stored_steps import StoredSteps
-from ingest.importing.tested_units import tested_units
+from ingest.importing.tested_units import no_output_warnings, tested_units
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
 from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
@@ -288,7 +288,9 @@ class FileSending:
             steps=len(summary.steps), steps_added=self._steps.added, date_known=summary.date_known, seconds=seconds,
             signals=tuple(self._signal_result(signal, in_lake) for signal in summary.signals), recovered=recovered,
             counted=summary.counted, damage=summary.damage,
-            remarks=(*warnings, *self._warnings, *self._other_names, *summary.remarks),
+            remarks=(
+                *warnings, *no_output_warnings(summary.signals), *self._warnings, *self._other_names, *summary.remarks
+            ),
             frames=getattr(summary, "frames", None), restated=tuple(self._restated),
         )  # fmt: skip
 

@@ -1,9 +1,10 @@
 """Which units of a file are tested, and which measure beside them, as a chamber does."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from ingest.tables.sample_file import SignalSummary
+from stream.channel_names import STANDARD_CHANNELS
 from stream.quantities import is_angular_rate
 
 # as the SQL macro `is_instrument_name` has it
@@ -13,6 +14,11 @@ _INSTRUMENT = re.compile(
     "|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)"
 )
 _OUTPUT = re.compile("^(rate|gyro|angle|output)")
+_NAMED = re.compile("^rate(_|$)|^gyro(_[xyz])?$|^(?i:angle_([xyz]|heading|yaw|azimuth|pitch|roll))$")
+_CHINESE = re.compile(  # as the SQL macro `is_output_name` has it
+    "(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?(陀螺仪?|角速[率度])(输出|信号|脉冲|计数)?_?([xyz][轴向]?|[0-9]+)?"
+)
+_BESIDE = re.compile("temp|温度|suppl|供电|电流|current|acc|加速度|加计|加表|^time|status|状态|humid|湿度|press|气压")
 _COUNTS = frozenset({"count", "LSB", "count/s", "LSB/s"})
 
 
@@ -34,6 +40,28 @@ def may_be_output(signal: SignalSummary) -> bool:
     """Whether a signal may be the output of a gyro, by its unit of measure or its name."""
     if is_instrument_name(signal.signal):
         return False
-    if _OUTPUT.search(signal.signal.lower()) is not None or signal.unit_of_measure in _COUNTS:
+    name = signal.signal.lower()
+    if _OUTPUT.search(name) is not None or _CHINESE.fullmatch(name) is not None or signal.unit_of_measure in _COUNTS:
         return True
     return is_angular_rate(signal.unit_of_measure)
+
+
+def no_output_warnings(signals: Sequence[SignalSummary]) -> list[str]:
+    """A warning where metrics take no signal of a file for the output of a gyro, and some could be one."""
+    others = [
+        each.signal for each in signals
+        if each.signal not in STANDARD_CHANNELS and not is_instrument_name(each.signal)
+        and _BESIDE.search(each.signal.lower()) is None
+    ]  # fmt: skip
+    if not others or any(map(_is_output, signals)):
+        return []
+    name = others[0]
+    rename = f"import the file with --rename '{name}=rate'"
+    return [f"warning: no signal is taken for the output of a gyro: if {name} is one, {rename}"]
+
+
+def _is_output(signal: SignalSummary) -> bool:
+    """Whether metrics take a signal for the output of a gyro."""
+    name = signal.signal
+    is_named = _NAMED.search(name) is not None or _CHINESE.fullmatch(name.lower()) is not None
+    return is_named or is_angular_rate(signal.unit_of_measure)

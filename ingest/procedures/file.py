@@ -150,8 +150,6 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
     try:
         parsed = decode_toml(text, ProcedureFile)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        if "codec can't decode" in str(error):
-            raise BadInput(f"{source}: it is not text in UTF-8 ({error}); save it in that encoding") from error
         raise BadInput(f"{source}: {error}{_brackets(str(error))}") from error
     try:
         check_name("procedure", parsed.name)

@@ -38,7 +38,7 @@ from stream.events import StepWords
 from stream.identity import check_name
 
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
-_TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(陀螺|产品)?温度")
+_TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(?P<metrics>(陀螺|产品)?温度)")
 _LARGE_SECONDS = re.compile("[MG]s(ec)?")  # megaseconds, where milliseconds are meant
 _S_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _MOST_PROBLEMS = 8  # in one error
@@ -348,10 +348,12 @@ class _HeaderReader:
             is_warning = remark.startswith("warning: ")
             text = f"column {title!r}: {remark.removeprefix('warning: ')}"
             self.columns.remarks.append(f"warning: {text}" if is_warning else text)
-        if _TEMPERATURE.fullmatch(signal) and signal != "temperature" and is_temperature(measure):
+        named = _TEMPERATURE.fullmatch(signal)
+        if named is not None and signal != "temperature" and is_temperature(measure):
+            who = "metrics and error models look" if named["metrics"] is None else "error models, not metrics, look"
             self.columns.remarks.append(
-                f"warning: column {title!r}: metrics and error models look for the unit's temperature under the name "
-                f"temperature: give --rename '{title}=temperature' if it is that"
+                f"warning: column {title!r}: {who} for the unit's temperature under the name temperature: give "
+                f"--rename '{title}=temperature' if it is that"
             )
         self.columns.signals.append(SignalColumn(title, signal, measure))
 

@@ -34,14 +34,8 @@ _SPELLINGS = {
 }
 _UNITS = {"": "1"} | {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
 _UNITS |= {
-    "度": "deg", "度/秒": "deg/s", "度/s": "deg/s", "deg/秒": "deg/s", "度/小时": "deg/h", "度/时": "deg/h",
-    "度/h": "deg/h", "deg/小时": "deg/h", "deg/时": "deg/h", "摄氏度": "degC", "秒": "s", "毫秒": "ms", "微秒": "us",
-    "分": "min", "分钟": "min", "小时": "h", "伏": "V", "毫伏": "mV", "安": "A", "毫安": "mA", "脉冲": "count",
-    "脉冲数": "count",
-    "个": "count", "pulse": "count", "pulses": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s",
-    "pulse/s": "count/s", "pulses/s": "count/s", "转/分": "rpm", "r/min": "rpm", "r/分": "rpm",
-    "转/分钟": "rpm", "转/秒": "turn/s", "r/s": "turn/s",
-    "角秒": "arcsec", "角分": "arcmin",
+    "pulse": "count", "pulses": "count", "pulse/s": "count/s", "pulses/s": "count/s", "r/min": "rpm", "r/分": "rpm",
+    "r/s": "turn/s",
 }  # fmt: skip
 _GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
 _MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
@@ -51,8 +45,12 @@ _PER_TIME = ("m/s", "m/s^2", "count/s", "K/s")
 _RAW = ("1", "count", "V", "A", "Hz")
 _AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
 _EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    (r"(?:angular_)?rate|gyro|omega|.*角速[率度].*|陀螺(?:输出)?", "an angular rate", ("deg/s", "deg/h", "rad/s")),
-    (r"acc|accel|acceleration", "an acceleration", ("g_0", "m/s^2")),
+    (
+        r"(?:angular_)?rate|gyro|omega|.*角速[率度].*|(?:[xyz]轴?)?陀螺仪?(?:输出)?",
+        "an angular rate",
+        ("deg/s", "deg/h", "rad/s"),
+    ),
+    (r"acc|accel|acceleration|(?:[xyz]轴?)?(?:加速度计?|加计|加表)(?:输出)?", "an acceleration", ("g_0", "m/s^2")),
     (r"temp|temperature|.*温度", "a temperature", ("degC", "K")),
     (r"(?:supply_)?voltage|.*电压", "a voltage", ("V",)),
     (r"(?:supply_)?current|.*电流", "a current", ("A",)),
@@ -112,7 +110,7 @@ def is_same_unit(one: str, other: str) -> bool:
     >>> is_same_unit("°/s", "deg/s"), is_same_unit("s", "sec"), is_same_unit("s", "ms"), is_same_unit("s", "V")
     (True, True, False, False)
     """
-    names = [_UNITS.get(_plain(each), each.strip()) for each in (one, other)]
+    names = [time_unit(each) for each in (one, other)]
     try:
         return names[0] == names[1] or conversion(names[0], names[1]) == (1.0, 0.0)
     except UnknownUnit:
@@ -212,7 +210,7 @@ def is_time_unit(text: str) -> bool:
 
 def time_unit(text: str) -> str:
     """A unit of time as files write it, such as ``秒``, as units are written here."""
-    return _UNITS.get(_plain(text), text.strip())
+    return _UNITS.get(_plain(text), plain_unit(text).strip())
 
 
 def is_temperature(unit: str) -> bool:
@@ -230,7 +228,7 @@ def _plain(written: str) -> str:
 
 
 def _is_acceleration(signal: str) -> bool:
-    return "acc" in signal.lower()
+    return "acc" in signal.lower() or re.search("加速度|加计|加表", signal) is not None
 
 
 def _is_mass(signal: str) -> bool:

@@ -9,6 +9,7 @@ from stream.decoding import examine
 from stream.mistakes import listed, mistakes
 
 T = TypeVar("T")
+_BOMS_OF_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LONG_KEY = re.compile(r"(?:[\w\"'-]{1,64}+[ \t]{0,4}+\.[ \t]{0,4}+){200}")
 
 
@@ -21,7 +22,9 @@ def decode_toml(text: str | bytes, kind: type[T]) -> T:
     Traceback (most recent call last):
     msgspec.DecodeError: tables or lists are nested too deeply
     """
-    written = text if isinstance(text, str) else text.decode(errors="replace")
+    if isinstance(text, bytes):
+        text = _as_text(text)
+    written = text = text.removeprefix("\ufeff")  # Windows writes it before UTF-8
     if _LONG_KEY.search(written):  # the parser needs memory quadratic in it
         raise msgspec.DecodeError("a key has more than 200 parts")
     examine(kind)
@@ -36,3 +39,25 @@ def decode_toml(text: str | bytes, kind: type[T]) -> T:
         raise msgspec.DecodeError("tables or lists are nested too deeply") from None
     except ValueError as error:  # numbers that are too long, invalid UTF-8
         raise msgspec.DecodeError(str(error)) from None
+
+
+def _as_text(content: bytes) -> str:
+    """The text of a file; a msgspec.DecodeError that says how to save it, if it is not UTF-8.
+
+    >>> _as_text("产品".encode("gbk"))
+    Traceback (most recent call last):
+    msgspec.DecodeError: line 1 is not UTF-8 text but perhaps GBK, as of a Chinese Windows: save the file as UTF-8
+    """
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+    if content.startswith(_BOMS_OF_UTF16):
+        raise msgspec.DecodeError("the file is UTF-16 text: save it as UTF-8")
+    try:
+        content.decode("gb18030")
+    except UnicodeDecodeError:
+        raise msgspec.DecodeError(f"line {line} is not UTF-8 text: save the file as UTF-8") from None
+    raise msgspec.DecodeError(
+        f"line {line} is not UTF-8 text but perhaps GBK, as of a Chinese Windows: save the file as UTF-8"
+    )

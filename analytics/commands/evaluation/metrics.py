@@ -101,7 +101,7 @@ def metrics(
     rows = [row for plant, (found, _, _) in answers for row in with_plant(plant, found)]
     undated = sum(count for _, (_, count, _) in answers)
     for _, (_, _, unused) in answers:
-        _print_unused(unused)
+        _print_unused(unused, language)
     if undated:
         notes().print(f"--since leaves out {undated} runs whose date is not known; import them with --start")
     if csv_path is not None:
@@ -173,10 +173,15 @@ def _print_annex(rows: "Sequence[InnerRow]", unit: str, language: str, *, as_jso
     results().print(table)
 
 
-def _print_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
+def _print_unused(unused: "Sequence[tuple[str, int, str]]", language: str) -> None:
     """Note the steps that no metric uses: how many, of which units, and why."""
+    from analytics.evaluation.table import reason_of
+
     for reason, steps, units in unused[:_SHOWN_REASONS]:
-        notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True)
+        text = f"not judged: {counted(steps, 'step')} of {units}: {reason}"
+        if language == "zh":
+            text = f"未评定：{units} 的 {steps} 个步骤：{reason_of({'reason': reason}, language)}"
+        notes().print(text, soft_wrap=True)
     if (more := len(unused) - _SHOWN_REASONS) > 0:
         notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all')
 

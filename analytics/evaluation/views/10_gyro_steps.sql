@@ -6,7 +6,10 @@ create or replace macro is_instrument_name(signal) as
     '|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)');
 
 create or replace macro is_output_name(signal) as
-  (regexp_matches(signal, '^rate(_|$)|^gyro(_[xyz])?$') or is_integrated_output(signal)) and not is_instrument_name(signal);
+  (regexp_matches(signal, '^rate(_|$)|^gyro(_[xyz])?$') or is_integrated_output(signal)
+    -- _CHINESE of ingest/importing/tested_units.py
+    or regexp_matches(lower(signal), '^(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?(陀螺仪?|角速[率度])(输出|信号|脉冲|计数)?'
+      '_?([xyz][轴向]?|[0-9]+)?$')) and not is_instrument_name(signal);
 
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';

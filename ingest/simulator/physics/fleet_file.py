@@ -47,15 +47,13 @@ class Fleet(NamedTuple, Generic[Settings]):
 def read_fleet(path: Path, kind: type[Settings]) -> Fleet[Settings]:
     """Read a fleet from a file; see `parse_fleet`."""
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     except OSError as error:
         raise BadInput(f"simulated fleet {path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise BadInput(f"simulated fleet {path}: is no text in UTF-8 ({error})") from error
-    return parse_fleet(text, str(path), kind)
+    return parse_fleet(content, str(path), kind)
 
 
-def parse_fleet(text: str, source: str, kind: type[Settings]) -> Fleet[Settings]:
+def parse_fleet(text: str | bytes, source: str, kind: type[Settings]) -> Fleet[Settings]:
     """Read a fleet of units with parameters of a kind.
 
     `[fleet]` has the `FleetSettings` and the effects of every unit. `[unit."FOG-0231"]` has what is different in one;

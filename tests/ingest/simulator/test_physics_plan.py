@@ -178,7 +178,7 @@ def test_plan_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be read"):
         load_plan(tmp_path / "absent.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(BadInput, match="no text in UTF-8"):
+    with pytest.raises(BadInput, match="save it as UTF-8"):
         load_plan(tmp_path / "binary.toml")
     (tmp_path / "fleet.toml").write_text(FLEET, encoding="utf-8")
     assert load_plan(tmp_path / "fleet.toml").parameters == parsed(FLEET).parameters

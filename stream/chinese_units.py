@@ -1,0 +1,12 @@
+"""Units of measure in Chinese words."""
+
+CHINESE_UNITS = {
+    "度": "deg", "度/秒": "deg/s", "度/s": "deg/s", "deg/秒": "deg/s", "度/小时": "deg/h", "度/时": "deg/h",
+    "度/h": "deg/h", "deg/小时": "deg/h", "deg/时": "deg/h", "度每秒": "deg/s", "度每小时": "deg/h", "度每时": "deg/h",
+    "°/小时": "deg/h", "°/时": "deg/h", "°/秒": "deg/s", "弧度": "rad", "弧度/秒": "rad/s", "角秒": "arcsec",
+    "角分": "arcmin", "摄氏度": "degC", "秒": "s", "毫秒": "ms", "微秒": "us", "分": "min", "分钟": "min", "小时": "h",
+    "时": "h", "伏": "V", "毫伏": "mV", "安": "A", "毫安": "mA", "瓦": "W", "赫兹": "Hz", "欧": "ohm", "欧姆": "ohm",
+    "千欧": "kohm", "兆欧": "Mohm", "兆欧姆": "Mohm", "米/秒": "m/s", "米/秒²": "m/s^2", "脉冲": "count",
+    "脉冲数": "count", "个": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s", "转/分": "rpm", "转/分钟": "rpm",
+    "转/秒": "turn/s",
+}  # fmt: skip
