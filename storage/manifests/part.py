@@ -22,9 +22,9 @@ REMEDY = "`gyrofleet recover` rebuilds it from the parts and the log; no sample 
 _HEAD = b'{"sha256":"'
 _MIDDLE = b'","content":'
 _TAIL = b"}\n"
-# of a folder or file in the lake, or of a segment
-_NAME = re.compile(r"\w[\w.-]*")
-_NAMES = re.compile(r"\w[\w.-]*(?:\n\w[\w.-]*)*")
+# of a folder or file in the lake, or of a segment; no file system has names above 255 bytes
+_NAME = re.compile(r"\w[\w.-]{0,254}")
+_NAMES = re.compile(r"\w[\w.-]{0,254}(?:\n\w[\w.-]{0,254})*")
 
 
 class PartFile(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -135,7 +135,7 @@ def in_order(parts: Iterable[Part]) -> list[Part]:
 def check_names(part: Part) -> None:
     """Refuse, by a ValueError, names that lead out of the lake."""
     if _NAMES.fullmatch("\n".join((part.name, *part.segments, *part.files))) is None:
-        raise ValueError(f"a name of part {part.name!r} is not a path within the lake")
+        raise ValueError(f"a name of part {part.name!r:.80} is not a path within the lake")
     if not part.segments:
         raise ValueError(f"part {part.name!r} is of no segment")
 
@@ -143,7 +143,7 @@ def check_names(part: Part) -> None:
 def check_within(names: list[str]) -> None:
     """Refuse, by a ValueError, paths that lead out of the lake: folders and files are removed by these names."""
     if len(names) > 2 or any(_NAME.fullmatch(name) is None for name in names):
-        raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
+        raise ValueError(f"{'/'.join(names)!r:.80} is not a path within the lake")
 
 
 def sealed(value: msgspec.Struct) -> bytes:
