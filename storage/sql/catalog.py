@@ -18,7 +18,7 @@ from storage.findings import Finding
 from storage.lake.tables import COLUMNS_VERSION, TABLES
 from storage.manifests.part import Part
 from storage.sql.columns import rows_of
-from storage.sql.deferred import DeferredDefinitions, words_of
+from storage.sql.deferred import DeferredDefinitions, bound_where_used, words_of
 from storage.sql.lake_source import LakeSource, source_of
 from storage.sql.live import LiveTables
 from storage.sql.overlay import Overlay
@@ -114,8 +114,9 @@ class Catalog(Closing):
         # a statement on samples of one unit would spend most of its time on footers
         self._connection.execute("set parquet_metadata_cache = true")
         self._deferred = DeferredDefinitions(self._run_definition)
+        self._is_in_memory = file is None
         self._tables = PutTables(
-            self._connection, self._execute, self._deferred, known_tables, is_in_memory=file is None
+            self._connection, self._execute, self._deferred, known_tables, is_in_memory=self._is_in_memory
         )
         self._defining = threading.RLock()  # statements of several threads may need the same definitions
         self.source = source_of(store, parts) if source is None else source
@@ -214,6 +215,8 @@ class Catalog(Closing):
 
     def _run_definition(self, sql: str) -> None:
         """Run a definition that has waited; other threads ask meanwhile."""
+        if self._is_in_memory:
+            sql = bound_where_used(sql)
         with reading_lake(self.store), self._connection.cursor() as cursor:
             cursor.execute(sql)
 

@@ -10,6 +10,7 @@ from itertools import count
 from typing import NamedTuple
 
 _CREATES = re.compile(r'create or replace (view|macro|table) (?:internal\.)?"?(\w+)')
+_VIEW = re.compile(r'\s*create or replace view [\w."]+')
 _COMMENTS = re.compile(r'comment on (?:view|table) (?:internal\.)?"?(\w+)')
 _NAMES = re.compile(
     r'(?:\b(?:from|join|into|table|pivot|unpivot|describe|summarize)\s|,)\s*(?:"?\w+"?\s*\.\s*)*"?(?P<table>\w+)'
@@ -74,6 +75,15 @@ def _statements(script: str) -> tuple[_Statement, ...]:
         elif text:
             raise ValueError(f"a script only defines views, macros and tables, or comments on them: {text[:80]}")
     return tuple(found)
+
+
+def bound_where_used(sql: str) -> str:
+    """The definition of a view that DuckDB does not bind yet; another one as it is.
+
+    >>> bound_where_used("create or replace view internal.a as select 1")
+    'create or replace view internal.a with (defer_binding) as select 1'
+    """
+    return _VIEW.sub(r"\g<0> with (defer_binding)", sql, count=1) if _VIEW.match(sql) else sql
 
 
 def defined_names(scripts: Iterable[str]) -> list[str]:

@@ -23,6 +23,8 @@ group by m.unit, m.metric, p.product;
 create or replace table unit_warnings as
 with each_run as materialized (
   from unit_runs
+), excluded as materialized (
+  from exclusions
 ), range as materialized (
   from internal.temperature_ranges
 ), last_product as materialized (
@@ -69,7 +71,7 @@ select x.unit, [],
   any_value(r.runs) || ' 次试验中有 ' || count(*) || ' 次已排除，不参与评定：'
     || array_to_string(list(x.run || '（' || x.reason || '；' || x.by_whom || '）' order by x.run)[:4], '、')
     || if(count(*) > 4, '等', '') || '；以上结果均不含这些试验'
-from exclusions x
+from excluded x
 join (
   select unit, count(distinct run) as runs from internal.lake_documents
   where kind in ('StepStarted', 'UnitMounted') group by unit
@@ -93,19 +95,19 @@ select unit, [],
 from within_runs
 union all
 select l.unit, [],
-  'its last run, ' || l.run || ', has no completed step: nothing above is of it; ' || if(runs.outcome = 'completed',
+  'its last run, ' || l.run || ', has no completed step: nothing above is of it; ' || if(ended.outcome = 'completed',
     'import it again with --procedure and --position',
-    'it ended as ' || runs.outcome || ': measure again, or exclude it (`gyrofleet runs exclude`)'),
-  '最近一次试验 ' || l.run || ' 没有已完成的步骤：以上结果均不含该次试验，' || if(runs.outcome = 'completed',
+    'it ended as ' || ended.outcome || ': measure again, or exclude it (`gyrofleet runs exclude`)'),
+  '最近一次试验 ' || l.run || ' 没有已完成的步骤：以上结果均不含该次试验，' || if(ended.outcome = 'completed',
     '请以 --procedure 和 --position 重新导入', '该试验未正常完成，请重新试验或排除（`gyrofleet runs exclude`）')
 from (
   select c.unit, arg_max(c.run, c.arrival_first_ns) as run
   from internal.lake_channels c left join internal.rate_units r using (unit_of_measure)
   where is_output_name(c.signal) or (r.deg_per_h is not null and not is_instrument_name(c.signal))
   group by c.unit
-) l join runs on runs.run = l.run and runs.outcome <> 'open'
+) l join internal.ended_runs ended on ended.run = l.run
 semi join each_run judged on judged.unit = l.unit
-anti join exclusions x on x.unit = l.unit and x.run = l.run
+anti join excluded x on x.unit = l.unit and x.run = l.run
 anti join each_run of_run on of_run.unit = l.unit and of_run.run = l.run
 union all
 select unit, [],

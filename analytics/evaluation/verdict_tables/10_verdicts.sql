@@ -5,11 +5,14 @@ create or replace macro verdict_rank(verdict) as
 create or replace macro verdict_of_rank(rank) as
   case rank when 1 then 'FAIL' when 2 then 'MARGINAL' when 3 then 'NO_DATA' when 4 then 'PASS' end;
 
+-- Planned once, for the tables below.
+create or replace table internal.tested_runs as from unit_runs;
+
 -- The last run of each unit; its product from the last run that knew it.
 create or replace table internal.unit_last_run as
 select u.* replace (coalesce(u.product, p.product) as product)
-from unit_runs u
-left join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
+from internal.tested_runs u
+left join (select unit, arg_max(product, t_start_ns) as product from internal.tested_runs where product is not null group by unit) p
   on p.unit = u.unit
 qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_start_ns desc, u.run) = 1;
 
@@ -17,21 +20,23 @@ qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_s
 -- last run with a completed step; without one, those of its last run, else of the last check that was entered. `lack`
 -- says why such a run has no values.
 create or replace table internal.judged_units as
-with entered as (
+with mounting as materialized (
+  from units
+), entered as (
   select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
   from internal.standing_checks group by unit
 ), idle as (                            -- runs without a completed record of a unit that they name, not excluded
   select u.unit, u.run, u.product, u.lot, u.station, u.fixture, u.mounted is not null as date_known, u.t_ns,
     cast(make_timestamp_ns(u.t_ns) as date) as day,
     if(c.unit is null, 'no sample of it came', 'no step of its runs was completed') as lack
-  from units u
+  from mounting u
   left join (select distinct unit, run from internal.lake_channels) c using (unit, run)
   anti join exclusions x on x.unit = u.unit and x.run = u.run
   anti join internal.unit_last_run l on l.unit = u.unit
   where u.mountings > 0
   qualify row_number() over (partition by u.unit order by date_known desc, u.t_ns desc, u.run) = 1
 ), mounted as (
-  select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot from units group by unit
+  select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot from mounting group by unit
 )
 select unit, run, product, lot, station, fixture, day, date_known, t_start_ns as t_ns, null::bigint as recorded_ns,
   null::varchar as lack
@@ -53,7 +58,7 @@ create or replace table internal.run_known as
 with placed as (
   select u.unit, u.run, coalesce(u.product, l.product) as product, u.date_known, u.t_start_ns as t_ns,
     null::bigint as recorded_ns
-  from unit_runs u join internal.unit_last_run l on l.unit = u.unit
+  from internal.tested_runs u join internal.unit_last_run l on l.unit = u.unit
   union all
   select unit, run, product, date_known, t_ns, recorded_ns from internal.judged_units where run = '' or lack is not null
 ), recorded as (
@@ -89,7 +94,7 @@ create or replace table internal.named_products as
 select product from internal.limit_editions where product is not null union select product from internal.product_editions;
 create or replace table internal.meant_products as
 select unit, arg_max(product, (date_known, t_start_ns)) as product
-from unit_runs semi join internal.named_products using (product) group by unit;
+from internal.tested_runs semi join internal.named_products using (product) group by unit;
 
 -- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
 -- last run where it rests on none.
@@ -99,7 +104,7 @@ with limited as (
 ), over_several as (
   select r.row, arg_max(u.run, (u.date_known, u.t_start_ns, u.run)) as run
   from (select row, unit, unnest(runs) as run from limited where run is null) r
-  join unit_runs u on u.run = r.run and u.unit = r.unit
+  join internal.tested_runs u on u.run = r.run and u.unit = r.unit
   group by r.row
 )
 select m.*,
@@ -113,7 +118,7 @@ select m.*,
   if(u.product <> l.product and u.product not in (select product from internal.named_products), p.product, null) as meant_product
 from limited m
 left join over_several o on o.row = m.row
-left join unit_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
+left join internal.tested_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
 left join internal.judged_units l on l.unit = m.unit
 left join internal.meant_products p on p.unit = m.unit
 left join internal.run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.run);

@@ -79,7 +79,7 @@ left join internal.unjudged_units n using (unit)
 left join (
   select unit, list(distinct product order by product) filter (product is not null) as products,
     list(distinct lot order by lot) filter (lot is not null) as lots
-  from unit_runs group by unit
+  from internal.tested_runs group by unit
 ) o using (unit)
 left join (select unit, string_agg(distinct withdrawn, ', ' order by withdrawn) as withdrawn from verdicts group by unit) w
   using (unit)

@@ -3,7 +3,7 @@ create or replace view internal.unlimited_units as
 with judged as (
   select distinct unit from verdicts where verdict <> 'NO_DATA'
 )
-select unit, run, product, lot, station, fixture, day, t_start_ns as t_ns from unit_runs anti join judged using (unit)
+select unit, run, product, lot, station, fixture, day, t_start_ns as t_ns from internal.tested_runs anti join judged using (unit)
 union all
 select unit, run, product, lot, station, fixture, day, t_ns from internal.judged_units anti join judged using (unit)
 where lack is not null;

@@ -39,14 +39,15 @@ where paths is null or list_contains(paths, s.filename);
 
 create or replace view samples as from internal.samples_in(null);
 
+create or replace view internal.ended_runs as
+select run, max(t_ns) as t_ns, coalesce(arg_max(document->>'$.outcome', arrival_ns), 'completed') as outcome
+from internal.lake_documents where kind = 'RunEnded' group by run;
+
 create or replace view runs as
 with started as (
   select run, t_ns, arrival_ns, site, station, document
   from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
-), ended as (
-  select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
-  from internal.lake_documents where kind = 'RunEnded' group by run
 ), files as (
   select run, arg_min(source, arrival_ns) as first, count(distinct source) as files
   from (select run, arrival_ns, document->>'$.source' as source from internal.lake_documents where kind = 'RunStarted')
@@ -84,7 +85,7 @@ select
   case when coalesce((s.document->>'$.date_known')::boolean, true)
     then make_timestamp_ns(coalesce(e.t_ns, r.t_last_ns)) end as ended,
   (coalesce(r.t_last_ns, e.t_ns) - coalesce(r.t_first_ns, s.t_ns)) / 1e9 as duration_s,
-  case when e.run is null then 'open' else coalesce(e.outcome, 'completed') end as outcome,
+  coalesce(e.outcome, 'open') as outcome,
   coalesce(g.resumptions, 0) as resumptions,
   coalesce(g.gap_s, 0) as gap_s,
   r.units,
@@ -102,7 +103,7 @@ select
   make_timestamp_ns(coalesce(r.arrival_first_ns, s.arrival_ns)) as recorded
 from recorded r
 full join started s using (run)
-left join ended e using (run)
+left join internal.ended_runs e using (run)
 left join resumed g using (run)
 left join released u using (run)
 left join stated z using (run)

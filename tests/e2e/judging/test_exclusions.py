@@ -11,6 +11,7 @@ import pytest
 
 from tests.free_ports import free_endpoint
 
+pytestmark = pytest.mark.metrics("bias")
 LIMITS = """
 name = "S"
 revision = "A"
