@@ -105,19 +105,6 @@ def forked_sandbox(command_server: CommandServer) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _metrics_of_module(request: pytest.FixtureRequest) -> Iterator[None]:
-    """The mark `metrics(*names)`: to compute all takes most of the time of a command on a small store."""
-    mark = request.node.get_closest_marker("metrics")
-    if mark is None or not request.config.getoption("markexpr"):  # the long forms compute all
-        yield
-        return
-    from tests.analytics.verdicts.few_metrics import computing
-
-    with computing(*mark.args):
-        yield
-
-
 @pytest.fixture
 def own_sandbox(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes that answer statements are started as for users."""

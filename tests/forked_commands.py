@@ -36,8 +36,6 @@ from typing import Any, AnyStr, NoReturn
 
 # variable of the environment with other limits of a server's statements, the fields of `QueryLimits` in JSON
 SERVER_LIMITS = "GYROFLEET_TESTS_SERVER_LIMITS"
-# variable of the environment with the metrics that commands compute
-COMMAND_METRICS = "GYROFLEET_TESTS_METRICS"
 # where a server listens that all processes of a run of pytest ask
 SHARED_SERVER = "GYROFLEET_TESTS_SERVER"
 _PR_SET_PDEATHSIG = 1
@@ -422,9 +420,6 @@ def _run_command(words: list[str], env: dict[str, str]) -> NoReturn:
     import storage.sql.door
     from gyrofleet import front_door
 
-    if wanted := env.get(COMMAND_METRICS):
-        kept = sys.modules["analytics.evaluation.kept_metrics"]
-        kept.unit_metrics = partial(kept.unit_metrics, wanted=wanted.split())
     if limits := env.get(SERVER_LIMITS):
         pool = sys.modules["analytics.serve.sql_pool"].SqlPool
         pool.__init__.__defaults__ = (storage.sql.door.QueryLimits(**json.loads(limits)),)

@@ -1,4 +1,4 @@
-"""Catalogues that compute a few metrics, in this process and in commands that are forked."""
+"""Catalogues that compute a few metrics."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,7 +6,6 @@ from contextlib import contextmanager
 import pytest
 
 from analytics.evaluation import budgets, kept_metrics, selection
-from tests.forked_commands import COMMAND_METRICS
 
 UNPATCHED = (budgets, selection)  # imported before: else they would keep the patched function
 
@@ -17,5 +16,4 @@ def computing(*wanted: str) -> Iterator[None]:
     compute = kept_metrics.unit_metrics
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kept_metrics, "unit_metrics", lambda catalog, progress: compute(catalog, progress, wanted))
-        patch.setenv(COMMAND_METRICS, " ".join(wanted))
         yield

@@ -11,7 +11,6 @@ import pytest
 
 from tests.free_ports import free_endpoint
 
-pytestmark = pytest.mark.metrics("bias")
 LIMITS = """
 name = "S"
 revision = "A"
