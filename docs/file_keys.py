@@ -1,6 +1,6 @@
 """The page of the keys of a station's files, from the classes that read them.
 
-``python -m docs.file_keys > docs/reference/station-files.md`` writes it anew.
+``python -m docs.file_keys > docs/reference/station-files.md`` writes it again.
 """
 
 import inspect

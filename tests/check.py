@@ -60,7 +60,7 @@ def run(*command: str | Path, cwd: Path = ROOT) -> None:
 def exit_code(
     command: Command, *, cwd: Path = ROOT, output: IO[str] | int | None = None, temporary: Path | None = None
 ) -> int:
-    # tests start hundreds of processes, each of which would compile the project anew
+    # tests start hundreds of processes, each of which would compile the project again
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     # more tests run than there are processors: threads of the linear algebra would only wait for each other
     for library in ("OPENBLAS", "OMP"):

@@ -65,7 +65,7 @@ def test_the_readme_is_short() -> None:
 def test_the_keys_of_a_stations_files_are_those_that_are_read() -> None:
     written = (ROOT / "docs" / "reference" / "station-files.md").read_text(encoding="utf-8")
     assert written == f"{file_keys.page()}\n", (
-        "write it anew: python -m docs.file_keys > docs/reference/station-files.md"
+        "write it again: python -m docs.file_keys > docs/reference/station-files.md"
     )
     for key in ("set_rate", "TEMP:SETP", "room_deg_c", "modulus", "wait_settled", "length_field", "power"):
         assert f"`{key}" in written

@@ -53,7 +53,7 @@ def check_records(catalog: Catalog, runs: Sequence[str]) -> None:
 def changed_results(catalog: Catalog, document: CertificateIssued) -> list[str]:
     """What the store gives differently today, to the digits that the certificate states; empty where nothing is.
 
-    Of a catalogue that uses nothing kept, computed anew from the records of the same runs: it differs where records,
+    Of a catalogue that uses nothing kept, computed again from the records of the same runs: it differs where records,
     statements of the station, products or the program have changed.
     """
     try:

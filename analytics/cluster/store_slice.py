@@ -13,7 +13,7 @@ from storage.store import Store
 from stream.errors import StoreError
 
 UNITS_A_TASK = 100
-# so many tasks for each that runs at the same time: more end together, but each opens its parts anew
+# so many tasks for each that runs at the same time: more end together, but each opens its parts again
 _ROUNDS = 2
 
 # Which part has something of which unit in which run; '' stands for what is of no unit, or of no run.

@@ -58,7 +58,7 @@ class _Band(NamedTuple):
 def judge_lines(
     lines: tuple[SpectralLine, ...], spectrum: Spectrum, base: Baseband, scale: float
 ) -> tuple[RecordedLine, ...]:
-    """The lines, each with whether it is one steady sinusoid over the record; those that are not, measured anew.
+    """The lines, each with whether it is one steady sinusoid over the record; those that are not, measured again.
 
     A line's amplitude and phase in blocks of a quarter of a segment are compared with those of one sinusoid fitted to
     them, less what the other lines give there. The mean square of what is left over that of noise of the background's

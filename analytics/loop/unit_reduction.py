@@ -186,7 +186,7 @@ def _check_values(runs: Sequence[RunBlocks]) -> None:
             if len(known) and float(np.abs(known).max()) > _LARGEST:
                 raise BadInput(
                     f"unit {run.unit}, run {run.run}: {name} reaches {float(known[np.abs(known).argmax()]):.3g}, which "
-                    "no sensor gives; leave such samples out and import the run anew"
+                    "no sensor gives; leave such samples out and import the run again"
                 )
 
 

@@ -12,7 +12,7 @@
 -- equation:  the largest tested rate up to which every point meets the limit of the nonlinearity
 -- influence: rate: per_ppm(value)
 -- of:        internal.scale_fits
--- The line is fitted anew to the rates up to each one: a rate beyond the range bends the line of all. Its limits are
+-- The line is fitted again to the rates up to each one: a rate beyond the range bends the line of all. Its limits are
 -- tested rates too: up to the lower one every point lies within the limit with its uncertainty (Bonferroni), at the
 -- upper one a point is surely out of it; none where no rate is, then the range was not reached.
 with judged as (

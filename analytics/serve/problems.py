@@ -89,7 +89,7 @@ class Stopping(HttpProblem):
     status = 503
 
     def __init__(self) -> None:
-        super().__init__("the server stops; ask again when it has started anew")
+        super().__init__("the server stops; ask again after its restart")
 
 
 _STATUS: tuple[tuple[type[GyrofleetError], int], ...] = (

@@ -14,7 +14,7 @@ _LEAST_INTERVALS, _STEADY = 20, 0.2
 # frames by which a counter differs from the time at a restart, or where it is corrupted: at first, and at least four
 # times the spread of the delays once so many frames have shown it
 _FAR, _LEAST_FAR, _SPREADS, _SHOWN = 100, 20, 4.0, 200
-# frames that a device sends within the silence before it begins to count anew, beyond those of the silence's length
+# frames that a device sends within the silence before it begins to count again, beyond those of the silence's length
 _SOON = 8
 # frames in a row, sent at their pace, that show a restart whose first frames were lost
 _LEAST_PACED = 20
@@ -44,7 +44,7 @@ class _Doubtful:
 
 
 def _is_far(steps: IntArray, elapsed: FloatArray, counter: IntArray, far: float) -> BoolArray:
-    """Whether a counter stepped far back, far ahead of the time, or far less than the time if it is as low as anew.
+    """Whether a counter stepped far back, far ahead of the time, or far less than the time if it is as low as again.
 
     The frame that follows the last one is not among them, however late it comes: the receiver has stalled.
     """
@@ -58,7 +58,7 @@ class FrameCounter:
     If the interval of the frames is known, whole turns of the counter come from the times; where it is not, from a
     steady one that the first frames show. `lost` frames are missing, `repeated` ones came again or too late, `strays`
     have a counter that fits neither the frames before nor those after; `restarts` are places where the counter began
-    anew: the frames from there on are numbered by their times.
+    again: the frames from there on are numbered by their times.
 
     >>> counter = FrameCounter(16, interval_ns=10)
     >>> numbers, keep = counter.follow(np.array([0, 10, 12, 40]), np.array([14, 15, 15, 2]))
@@ -241,7 +241,7 @@ class FrameCounter:
     def _accept(
         self, doubtful: _Doubtful, t_ns: IntArray, counter: IntArray, numbers: IntArray, keep: BoolArray
     ) -> None:
-        """Go on with a counter that began anew, or that has left out frames."""
+        """Go on with a counter that began again, or that has left out frames."""
         assert self._last is not None
         assert self._interval_ns is not None
         passed_ns, interval_ns = doubtful.first.t_ns - self._first_ns, self._interval_ns

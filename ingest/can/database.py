@@ -45,7 +45,7 @@ def _format_error(path: Path, error: Exception) -> str:
     elif ">>!<<" in text:
         text = f"the parser stopped at the mark >>!<<, {text}"
     is_database = isinstance(error, UnsupportedDatabaseFormatError)
-    todo = "mend that, or export it anew from the tool it comes from" if is_database else "give a CAN database (.dbc)"
+    todo = "mend that, or export it again from the tool it comes from" if is_database else "give a CAN database (.dbc)"
     return f"{path}: {f'line {line[1]}: ' if line else ''}cannot be read as a CAN database ({text}); {todo}"
 
 

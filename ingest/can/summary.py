@@ -59,7 +59,7 @@ class MessageCount:
     decoded: int = 0  # those whose signals were used
     lost: int = 0
     repeated: int = 0  # came again
-    restarts: int = 0  # places where the counter began anew
+    restarts: int = 0  # places where the counter began again
     strays: int = 0  # left out, as their counter fits neither those before nor those after
     checksum_failures: int = 0  # frames left out for a wrong checksum
     short: int = 0  # frames that lack bytes of a signal; that signal was left out

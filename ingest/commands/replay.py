@@ -41,7 +41,7 @@ def replay(
 ) -> None:  # fmt: skip
     """Send a stored run through the bus once more, as its sources sent it.
 
-    Without --into or --connect it is estimated anew in this process, and every estimate is compared with the stored
+    Without --into or --connect it is estimated again in this process, and every estimate is compared with the stored
     one: exit code 0 only if all are equal to the last bit.
     """
     from ingest.run.replaying import compared, interval_s, sent_into, sent_to

@@ -117,7 +117,7 @@ def _send(run: StoredRun, sender: Sender, speed: float, progress: Progress) -> R
             sender.send_event(message.key, decode_event(message.payload).document)
         else:
             batch = decode_batch(message.payload)
-            # where a run began in the middle of an epoch, its numbers begin anew
+            # where a run began in the middle of an epoch, its numbers begin again
             begin = begins.setdefault((message.key, batch.epoch.hex), batch.seq)
             sender.send_batch(message.key, batch if begin == 0 else replace(batch, seq=batch.seq - begin))
         _count(found, message)

@@ -173,7 +173,7 @@ class StationRun:
         if step.power in {"cycle", "on"}:
             self._stop(
                 active
-            )  # sources of units that are off would number their first samples, and those made below anew
+            )  # sources of units that are off would number their first samples, and those made below again
             self._until(step, "switching on", partial(self._bench.switch, 1.0, self._idle()), self._settle_timeout_s)
             self._log.power_on()
             restart()

@@ -173,7 +173,7 @@ class RunLog(RunRecord[StationRunState]):
         return UUID(self.state.epochs[name])
 
     def deliver(self, batch: SampleBatch) -> None:
-        """Send samples, from the thread of any source; they are numbered on, also where a source counts anew from 0."""
+        """Send samples, from the thread of any source; they are numbered on, also where a source restarts at 0."""
         assert self._sender is not None
         if batch.unit in self.state.released:  # another unit may be in its slot by now
             self.late_samples += len(batch)

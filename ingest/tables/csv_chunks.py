@@ -190,7 +190,7 @@ class CsvTable:
         return lines
 
     def _as_utf8(self, block: bytes, line: int) -> bytes:
-        """Lines as UTF-8: those of a file in the encoding of Chinese programs are written anew."""
+        """Lines as UTF-8: those of a file in the encoding of Chinese programs are written again."""
         if block.isascii():
             return block
         if not self._is_gb18030:

@@ -61,7 +61,7 @@ def restore(
                 path.rename(folder / path.name)
         write_markers(folder, backup.store)
         done_here = list(recover(Store.open(folder)))
-        shutil.rmtree(fresh)  # until now the same command begins anew
+        shutil.rmtree(fresh)  # until now the same command begins again
     except OSError as error:
         raise StoreError(_failure(source, folder, error)) from error
     finally:

@@ -72,7 +72,7 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
                 paths = [each / file for each in fresh]
                 lacking, others = _other_columns(where / file, name)
                 if others or (lacking and part.columns >= COLUMNS_VERSION):
-                    what = f"its columns are others ({', '.join(lacking + others)}): its file was written anew since"
+                    what = f"its columns are others ({', '.join(lacking + others)}): its file was written again since"
                     yield Finding("lake_differs", Severity.DAMAGE, str(where / file), what, _REMEDY)
                     continue
                 if lacking:
@@ -86,7 +86,7 @@ def _findings_of(store: Store, part: Part, connection: duckdb.DuckDBPyConnection
                 yield Finding("lake_not_compared", Severity.DAMAGE, str(where / file), what, _REMEDY)
                 continue
             if differing:
-                what = f"{differing:,} of its rows are not those that the log gives: its files were written anew since"
+                what = f"{differing:,} of its rows are not those that the log gives: its files were written again since"
                 yield Finding("lake_differs", Severity.DAMAGE, str(where / file), what, _REMEDY)
 
 

@@ -13,7 +13,7 @@ from storage.object_lake.published import BLOCKS, HEAD, PARTS, Published, read_p
 from storage.store import Store
 from stream.errors import StoreError
 
-_REMEDY = "`gyrofleet lake --once --repair --lake` of a store that has its segments publishes it anew"
+_REMEDY = "`gyrofleet lake --once --repair --lake` of a store that has its segments publishes it again"
 _DAMAGED = "lake_damaged"
 
 

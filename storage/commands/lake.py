@@ -69,7 +69,7 @@ def _check(options: Mapping[str, Any]) -> None:
     "--lake", "url", metavar="s3://BUCKET/PREFIX", help="Also publish it there, on an object store with the S3 API."
 )
 @endpoint_option
-@click.option("--repair", is_flag=True, help="Verify what is published first, and publish damaged parts anew.")
+@click.option("--repair", is_flag=True, help="Verify what is published first, and publish damaged parts again.")
 @status_listen_option
 @configured("lake")
 @reporting

@@ -177,7 +177,9 @@ def _read_block(bucket: Bucket, block: BlockEntry, *, with_sources: bool) -> lis
     found = bucket.get(block.key)
     where = f"{bucket.url}/{block.key}"
     if found is None:
-        raise StoreError(f"{where}, a block of the manifest, is missing; `gyrofleet lake --once --lake` publishes anew")
+        raise StoreError(
+            f"{where}, a block of the manifest, is missing; `gyrofleet lake --once --lake` publishes again"
+        )
     if hashlib.sha256(found[0]).hexdigest() != block.sha256:
         raise StoreError(f"{where}, a block of the manifest, is damaged: its content does not match its hash")
     try:

@@ -38,7 +38,7 @@ class Publisher:
     bucket: The address.
     grace_s: How long replaced objects stay for their readers.
     report: Gets an event in one word, a sentence, and numbers by name.
-    damaged: Names of published parts that are published anew.
+    damaged: Names of published parts that are published again.
     """
 
     def __init__(

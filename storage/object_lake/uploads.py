@@ -25,7 +25,7 @@ FOLDER = "published"
 """Folder of the store with what is known of uploads that are not in force yet."""
 ABANDONED_AFTER = timedelta(hours=24)
 """Age of objects that no manifest names, after which any builder removes them."""
-_YOUNG_NS = 12 * 3600 * 10**9  # an upload is begun anew before others may take it for abandoned
+_YOUNG_NS = 12 * 3600 * 10**9  # an upload is begun again before others may take it for abandoned
 _FILES_AT_ONCE = 4
 
 
@@ -46,7 +46,7 @@ class Uploads:
         try:
             self._begun = decode_json(self._path.read_bytes(), dict[str, Upload])
         except (FileNotFoundError, msgspec.MsgspecError):
-            self._begun = {}  # uploads begin anew; what is there is removed as abandoned
+            self._begun = {}  # uploads begin again; what is there is removed as abandoned
 
     def upload(self, part: Part, folder: Path, on_bytes: Callable[[int], None] = lambda _: None) -> Part:
         """Upload the files of a part and verify each; returns the part as it is published.

@@ -176,6 +176,6 @@ def _topic(channel: Channel) -> tuple[str, str]:
 
 @lru_cache(maxsize=100_000)
 def _channel(record: bytes) -> Channel:
-    """A channel; every chunk has those of its messages anew."""
+    """A channel; every chunk has those of its messages again."""
     channel: Channel = Channel.read(ReadDataStream(BytesIO(record)))
     return channel

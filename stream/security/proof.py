@@ -38,7 +38,7 @@ from stream.security.rights import Principal, Role, principal_of
 
 PROOF_BYTES = 1024  # room for a proof in a message
 _TAIL = b"\xc4\x00"  # no signature
-_MOST_SESSIONS = 10_000  # of a verifier; one more begins anew
+_MOST_SESSIONS = 10_000  # of a verifier; one more begins again
 _ACKNOWLEDGEMENT = b"gyrofleet acknowledgement\0"
 _JSON_FIELD = b',"proof":"'
 _FIELD = b"\x9a\x01"  # number 19, bytes

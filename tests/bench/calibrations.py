@@ -1,6 +1,6 @@
 """Simulated calibrations whose instruments err as their certificates allow: the steps as records, and the truth.
 
-One unit is calibrated at one station after the other. Each draws the errors of its instruments anew from what it
+One unit is calibrated at one station after the other. Each draws the errors of its instruments again from what it
 states; the physics are written here, apart from the metrics.
 """
 

@@ -2,7 +2,7 @@
 
     python -m tests.bench.early_decision [--runs 4000] [--table]
 
-From the root of the checkout. With --table it only prints the bounds of `decision_bounds` anew (2 minutes). A test is
+From the root of the checkout. With --table it only prints the bounds of `decision_bounds` again (2 minutes). A test is
 24 h; tau is T/tau of it. Errors are against the truth, a true deviation at the limit, and are marked TOO MANY
 where the one-sided 99.9 % binomial bound for all checks together excludes the promised 1 %. `hours` is the mean time
 to the decision; a test not decided early takes 24.

@@ -63,9 +63,9 @@ def family(store: Store) -> int:
         return int(catalog.rows("select count(*) from unit_metrics")[0][0])
 
 
-def every(store: Store, *, anew: bool) -> int:
+def every(store: Store, *, again: bool) -> int:
     """Every metric; how many rows."""
-    if anew:
+    if again:
         (store.folder / "metrics" / "unit_metrics.parquet").unlink(missing_ok=True)
     with Catalog(store) as catalog:
         return int(catalog.rows("select count(*) from unit_metrics")[0][0])
@@ -80,8 +80,8 @@ def fleet(folder: Path, units: int, days: int, tries: int) -> dict[str, Any]:
     opened_s, _, _ = best_of(tries, lambda: Catalog(store).close())
     one_s, _, _ = best_of(tries, lambda: one(store))
     family_s, family_cpu_s, family_rows = best_of(tries, lambda: family(store))
-    anew_s, anew_cpu_s, rows = best_of(tries, lambda: every(store, anew=True))
-    again_s, again_cpu_s, _ = best_of(tries, lambda: every(store, anew=False))
+    anew_s, anew_cpu_s, rows = best_of(tries, lambda: every(store, again=True))
+    again_s, again_cpu_s, _ = best_of(tries, lambda: every(store, again=False))
     return {
         "units": units,
         "step_records": units * (days + 5) * 2,
@@ -112,7 +112,7 @@ group by unit, signal, t_ns // 1000000000 order by unit, signal, t_ns"""
 
 
 def records(store: Store) -> Any:
-    """The records of all steps, anew."""
+    """The records of all steps, again."""
     shutil.rmtree(store.folder / "metrics", ignore_errors=True)
     with Catalog(store) as catalog:
         return step_means(catalog)

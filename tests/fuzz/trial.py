@@ -214,7 +214,7 @@ def limited_time(seconds: float) -> Iterator[None]:
 
 
 def _restarted_peak_bytes() -> int:
-    """Let the peak of this process begin anew at what it has now; returns that."""
+    """Let the peak of this process begin again at what it has now; returns that."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     return _peak_bytes()

@@ -96,7 +96,7 @@ def format_document(document: "AnyDocument") -> str:
                 return f"{document.stretch}, unit {document.unit}: not watched: {document.reason}"
             now = f"gains {document.gain:.2f}, cusum {document.cusum:.2f} of {document.threshold:.2f}"
             line = f"{document.stretch}, unit {document.unit}: version {document.version} {now}"
-            again = f"; refused: trace the unit anew with `gyrofleet diagnose --unit {document.unit}`"
+            again = f"; refused: trace the unit again with `gyrofleet diagnose --unit {document.unit}`"
             return line + (again if document.is_refused else "")
         case ModelActivated():
             return f"unit {document.unit}: version {document.version} is {document.stage}: {document.reason}"

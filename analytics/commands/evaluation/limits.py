@@ -27,7 +27,7 @@ by_option = click.option(
     "--by", help="Who does it; by default the user of the system, with --security whom the certificate names."
 )
 _rejudge = click.option(
-    "--rejudge", "rejudges", is_flag=True, help="Judge what was recorded before anew, by what holds from now on."
+    "--rejudge", "rejudges", is_flag=True, help="Judge what was recorded before again, by what holds from now on."
 )
 
 
@@ -145,7 +145,7 @@ def history(folder: Path, *, as_json: bool) -> None:
     for link in links:
         each = link.document
         what, when = link.label if each.name else "", format_moment(each.t_ns) or ""
-        rejudged = "judged anew" if each.rejudges else "keep their verdicts"
+        rejudged = "judged again" if each.rejudges else "keep their verdicts"
         table.add_row(when, each.action.value, what, _people(each), each.reason, rejudged)
     results().print(table if links else completed(_NONE))
 
@@ -274,7 +274,7 @@ def _enter(
 
 
 def _print_rejudged(*, rejudges: bool) -> None:
-    after = "is judged anew." if rejudges else "keeps its verdicts; with --rejudge it would be judged anew."
+    after = "is judged again." if rejudges else "keeps its verdicts; with --rejudge it would be judged again."
     notes().print(f"What was recorded before {after}", soft_wrap=True)
 
 

@@ -130,7 +130,7 @@ def _print_issued(issued: "Issued", out: Path, language: str) -> None:
 def verify(folder: Path, file: Path, trust: Path | None, *, as_json: bool) -> None:
     """Say whether a PDF is a certificate of this store, unchanged, and still valid; exit code 1 if not.
 
-    The results of a genuine one are computed anew from the store: those that have changed since are listed, as are its
+    The results of a genuine one are computed again from the store: those that have changed since are listed, as are its
     statements of conformity that the store judges differently, or by a revision withdrawn since; the exit code is 1.
     `valid` in --json is of the document alone: not superseded, its validity not over, with --trust a trusted signature.
     """

@@ -107,7 +107,7 @@ class StationChange(_Constant):
 
     name, en, zh = STATION, "a difference between stations or a change of one", "试验台之间的差异或某台的变化"
     cause = (
-        "A fixture that was levelled anew, another reference or a moved table shifts what all units read there from "
+        "A fixture that was levelled again, another reference or a moved table shifts what all units read there from "
         "one day on."
     )
     cause_zh = "夹具重新调平、更换基准或转台移位，使此后该台所测产品的读数一同改变。"

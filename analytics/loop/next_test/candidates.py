@@ -117,7 +117,7 @@ def _remountings(words: Sequence[str], *, has_others: bool) -> Iterator[Candidat
                 {
                     "name": "static",
                     "position": word,
-                    "prompt": {"en": f"Mount the units anew: {word}.", "zh": f"重新安装陀螺仪：{word}。"},
+                    "prompt": {"en": f"Mount the units again: {word}.", "zh": f"重新安装陀螺仪：{word}。"},
                     "power": "cycle",
                     "off_s": _REMOUNT_OFF_S,
                     "record_s": _REMOUNT_S,

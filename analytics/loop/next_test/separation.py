@@ -3,7 +3,7 @@
 Rivals k explain the data y as X_k theta beside the declared model. After a test, the residual sum of squares of each,
 whitened by the unit's fitted noise, follows from normal equations; the evidence and the lead that it needs are those
 of the search. The data so far are kept as they are; coefficients are drawn from their posterior, the noise of the
-test anew. Box and Hill, Technometrics 9(1), 1967, 57-71; Atkinson and Fedorov, Biometrika 62(1), 1975, 57-70
+test again. Box and Hill, Technometrics 9(1), 1967, 57-71; Atkinson and Fedorov, Biometrika 62(1), 1975, 57-70
 (T-optimality).
 """
 

@@ -3,7 +3,7 @@ import {colour, faint, onTheme} from "./colours.js";
 import {ZONE, duration, element, figure, moment, say} from "./texts.js";
 
 const LEAST = 6, MOST = 26, TOLD_MS = 10_000, TABLE_MS = 1000, PAGE_MS = 10_000;
-const PARTS = ["floor-alerts", "floor-stations", "floor-table"]; // of the page, which the server writes anew
+const PARTS = ["floor-alerts", "floor-stations", "floor-table"]; // of the page, which the server writes again
 const COLOURS = {"": "--no-data", PASS: "--pass", FAIL: "--fail", MARGINAL: "--marginal", NO_DATA: "--no-data", ABORTED: "--fail"};
 
 /** A verdict as people read it. */

@@ -46,7 +46,7 @@ def read_signed_rules(folder: Path) -> SignedRules:
         raise BadInput(f"{path} cannot be read: {error.strerror or error}") from error
     except msgspec.MsgspecError as error:
         raise BadInput(
-            f"{path} is damaged: {error}; `gyrofleet record --security FOLDER` writes it anew when it starts"
+            f"{path} is damaged: {error}; `gyrofleet record --security FOLDER` writes it again when it starts"
         ) from error
 
 

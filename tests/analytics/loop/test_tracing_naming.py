@@ -84,7 +84,7 @@ def test_an_effect_chosen_anew_keeps_what_it_was_not_told_from() -> None:
     ("slope", "slope_se", "accepted"),
     [
         (0.9, 0.02, True),  # five standard errors off, and it wins 99 % of what it could
-        (0.75, 0.02, False),  # it would make a third of the effect anew
+        (0.75, 0.02, False),  # it would make a third of the effect again
         (1.5, 0.02, False),
         (1.5, 0.3, True),  # chance may be that large
         (0.4, 0.3, False),  # not seen at all

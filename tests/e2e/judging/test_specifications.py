@@ -130,11 +130,11 @@ def test_a_store_is_judged_anew_where_a_person_says_so(ask: Ask, folder: Path) -
 def test_a_revision_that_is_there_judges_anew_when_it_is_asked_to(ask: Ask, folder: Path) -> None:
     ask("limits", "add", file(folder, "A", 2.0))
     revised = ("limits", "revise", file(folder, "B", 1.0, "valid_from = 2026-01-01"), "--reason", "typing error")
-    assert "with --rejudge it would be judged anew" in ask(*revised).stderr
+    assert "with --rejudge it would be judged again" in ask(*revised).stderr
     assert [(row["revision"], row["verdict"]) for row in reported(ask)["verdicts"]] == [("A", "PASS")]
     done = ask(*revised, "--rejudge")
     assert "are there already" in done.stdout
-    assert "What was recorded before is judged anew" in done.stderr
+    assert "What was recorded before is judged again" in done.stderr
     assert [(row["revision"], row["verdict"]) for row in reported(ask)["verdicts"]] == [("B", "FAIL")]
     ask("verify")
     history = json.loads(ask("limits", "history", "--json").stdout)

@@ -167,7 +167,7 @@ def _manifest(_folder: Path) -> list[bytes]:
 
 
 def chained(inner: Mutation) -> Mutation:
-    """One line of a manifest changed, and all chained anew."""
+    """One line of a manifest changed, and all chained again."""
 
     def mutate(content: bytes, rng: random.Random) -> bytes:
         lines = [line.rpartition(b"\t")[0] for line in content.splitlines()]

@@ -16,7 +16,7 @@ GOOD = (
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("a.dbc", GOOD.replace("7|24", "7|xx"), r"a\.dbc: line 6: .*mark >>!<<.*; mend that, or export it anew"),
+        ("a.dbc", GOOD.replace("7|24", "7|xx"), r"a\.dbc: line 6: .*mark >>!<<.*; mend that, or export it again"),
         ("b.dbc", "time,rate\n0,1\n", r"b\.dbc: line 1: cannot be read"),
         ("c.dbc", GOOD + 'BA_ "Cycle" BO_ 291 10;\n', r"\(it uses Cycle, which it does not define\)"),
         ("d.csv", GOOD, r"got 'csv'\); give a CAN database \(\.dbc\)"),

@@ -1,4 +1,4 @@
-"""A device that is powered off and on within a log or a run: its counter begins anew, its samples keep their times."""
+"""A device that is powered off and on within a log or a run: its counter begins again, its samples keep their times."""
 
 import json
 import threading

@@ -233,7 +233,7 @@ def blocks_of(*blocks: tuple[str, float]) -> str:
 
 @pytest.mark.parametrize("first_s", [0.0, 600.0])
 def test_blocks_of_triggers_are_where_their_frames_were(tmp_path: Path, first_s: float) -> None:
-    """Stamps of the second block, 600 s later, begin anew or go on from the start of the measurement."""
+    """Stamps of the second block, 600 s later, begin again or go on from the start of the measurement."""
     (tmp_path / "v.asc").write_text(blocks_of(("06:00:00.000", 0.0), ("06:10:00.000", first_s)))
     expected = [START_NS + begin * 10**9 + at * 10**7 for begin in (0, 600) for at in range(3)]
     assert times_ns(tmp_path / "v.asc", "Asia/Shanghai") == expected

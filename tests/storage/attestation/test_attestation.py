@@ -40,7 +40,7 @@ def what(store: Store, attestation: Attestation) -> list[tuple[str, str]]:
 
 
 def rechain(store: Store, **changes: Any) -> None:
-    """Write the manifest anew, validly chained, as a forger who knows its form does."""
+    """Write the manifest again, validly chained, as a forger who knows its form does."""
     entries = {**read_log_manifest(store).entries}
     for name, changed in changes.items():
         entries[f"{name[1:]}.mcap"] = msgspec.structs.replace(entries[f"{name[1:]}.mcap"], **changed)

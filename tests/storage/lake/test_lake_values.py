@@ -38,7 +38,7 @@ CHANGES: dict[str, tuple[str, float | str]] = {
 
 
 def forge(store: Store, part: str, table: str, change: Callable[[pa.Table], pa.Table]) -> None:
-    """Write a table of a part anew, with the hashes that belong to it."""
+    """Write a table of a part again, with the hashes that belong to it."""
     folder = store.lake / part
     path = folder / f"{table}.parquet"
     pq.write_table(change(pq.read_table(path)), path, compression="zstd")

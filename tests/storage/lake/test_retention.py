@@ -110,8 +110,8 @@ def test_the_lake_stays_a_function_of_the_log(retained: Filler, tmp_path: Path) 
     shutil.rmtree(store.lake)
     store.lake.mkdir()
     retained.build()
-    export(store, tmp_path / "anew")
-    assert_same(tmp_path / "before", tmp_path / "anew")
+    export(store, tmp_path / "again")
+    assert_same(tmp_path / "before", tmp_path / "again")
 
 
 @pytest.mark.long

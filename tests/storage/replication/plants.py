@@ -49,7 +49,7 @@ def verified(fleet: FleetStore) -> FleetVerification:
 
 
 def rechained(store: Store, **changes: SegmentEntry) -> None:
-    """Write a plant's list anew, validly chained, with other entries for some segments."""
+    """Write a plant's list again, validly chained, with other entries for some segments."""
     last, lines = FIRST, []
     for name, entry in read_log_manifest(store).entries.items():
         text = msgspec.json.encode(changes.get(name.removesuffix(".mcap"), entry))

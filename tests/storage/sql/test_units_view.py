@@ -23,7 +23,7 @@ def fill(filler: Filler) -> None:
     filler.document(mounted("U2", slot="A2", lot="L2", operator="王"))
     filler.counts("rate", START_NS, 100)
     filler.seal()
-    # mounted anew, in another segment of the log
+    # mounted again, in another segment of the log
     filler.document(mounted("U2", START_NS + 10**9, slot="A3", lot="L2"))
     filler.seal()
     filler.build()

@@ -30,7 +30,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make_tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of 7, more than three of them on disk, and running sums that begin anew every 5."""
+    """Blocks of 7, more than three of them on disk, and running sums that begin again every 5."""
     monkeypatch.setattr(prefix_record, "BLOCK", 7)
     monkeypatch.setattr(prefix_record, "MEMORY_SAMPLES", 21)
     monkeypatch.setattr(deviation_forms, "_RESTART", 5)
