@@ -199,6 +199,9 @@ def result_factor(source: str, target: str) -> float:
     >>> result_factor("deg/h", "Hz")
     Traceback (most recent call last):
     stream.errors.UnknownUnit: 'deg/h' cannot be converted to 'Hz': they measure different quantities
+    >>> result_factor("V/sqrt(h)", "deg/sqrt(h)")
+    Traceback (most recent call last):
+    stream.errors.UnknownUnit: 'V/sqrt(h)' cannot be converted to 'deg/sqrt(h)': they measure different quantities
     """
     if source == target:
         return 1.0
@@ -213,7 +216,10 @@ def _plain_factor(source: str, target: str) -> float:
     plain = [_ROOT.sub(r"(\1)**0.5", plain_unit(check_result_unit(text))) for text in (source, target)]
     if (known := _known_conversion(*plain)) is not None and known[1] == 0.0:
         return known[0]
-    factor, offset = conversion(plain[0], plain[1])
+    try:
+        factor, offset = conversion(plain[0], plain[1])
+    except UnknownUnit as error:
+        raise _no_conversion(source, target) from error
     if offset != 0.0 or _angles(plain[0]) != _angles(plain[1]):
         raise _no_conversion(source, target)
     return factor

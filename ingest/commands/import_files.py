@@ -139,6 +139,9 @@ def import_files(
             progress.update(task, completed=1.0, visible=len(files) <= LISTED_FILES)
             checked.append(CheckedFile(path, file, summary, time.monotonic() - began))
     warn_of_overdue(station, [each.summary for each in checked])
+    signals = EstimatedSignals.named(estimated)
+    if remark := signals.remark_on(signal.signal for each in checked for signal in each.summary.signals):
+        notes().print(f"warning: {remark}", soft_wrap=True)
     if connect is None:
         compile_new_kernels(quiet=as_json)
     with interrupted_by_term(), progress_bar(hidden=as_json) as progress:
@@ -150,7 +153,7 @@ def import_files(
         imported = list(
             import_checked(
                 checked, folder, place, connect=connect, listen=[listen] if listen else (), units=entries, about=about,
-                restates=restates, by=actor, estimated=EstimatedSignals.named(estimated), progress=show,
+                restates=restates, by=actor, estimated=signals, progress=show,
             )
         )  # fmt: skip
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)

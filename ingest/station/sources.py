@@ -75,9 +75,7 @@ class StationSources:
         """What to say of signals that are to be estimated, and that nothing of the station delivers."""
         known = {signal for _, signal, _ in self._delivered()}
         known |= {signal for instrument in self._instruments.values() for signal in instrument.signals}
-        if not (strange := sorted(estimated.names - known)):
-            return None
-        return f"nothing delivers {', '.join(strange)}, which --estimates names; there is {', '.join(sorted(known))}"
+        return estimated.remark_on(known)
 
     def _delivered(self) -> list[tuple[str, str, str]]:
         """Unit, name and unit of measure of the signals of units."""

@@ -41,3 +41,14 @@ class EstimatedSignals(NamedTuple):
             return True
         is_output = signal == _OUTPUT or signal.startswith(f"{_OUTPUT}_")
         return self.rates and (is_output or is_angular_rate(unit_of_measure))
+
+    def remark_on(self, known: Iterable[str]) -> str | None:
+        """What to say of signals that are named and not known; None where all are.
+
+        >>> EstimatedSignals.named(["rat"]).remark_on(["temperature", "rate"])
+        'nothing delivers rat, which --estimates names; there is rate, temperature'
+        """
+        known = set(known)
+        if not (strange := sorted(self.names - known)):
+            return None
+        return f"nothing delivers {', '.join(strange)}, which --estimates names; there is {', '.join(sorted(known))}"

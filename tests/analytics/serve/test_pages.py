@@ -205,11 +205,20 @@ def test_a_statement_is_answered_without_scripts(served: Served) -> None:
         assert "COPY is refused" in wrong
 
 
-@pytest.mark.parametrize(("path", "status"), [("/units/FOG-9", 404), ("/units?limit=x", 400), ("/nothing", 404)])
-def test_a_problem_is_a_page_with_a_sentence(api: httpx.Client, path: str, status: int) -> None:
+@pytest.mark.parametrize(
+    ("path", "status", "chinese"),
+    [
+        ("/units/FOG-9", 404, "数据库中没有产品"),
+        ("/units?limit=x", 400, "参数不符合要求"),
+        ("/nothing", 404, "/nothing 不存在"),
+        ("/runs/nothing", 404, "数据库中没有试验"),
+    ],
+)
+def test_a_problem_is_a_page_with_a_sentence(api: httpx.Client, path: str, status: int, chinese: str) -> None:
     answer = api.get(path, headers={"Accept": "text/html"})
     assert answer.status_code == status
-    assert 'role="alert"' in answer.text
+    assert 'role="alert" lang="en"' in answer.text
+    assert chinese in api.get(path, headers={"Accept": "text/html", "Accept-Language": "zh"}).text
     assert api.get(path).headers["content-type"] == "application/json"
 
 

@@ -45,7 +45,8 @@ def test_many_files_of_one_command_go_through_one_recorder(
 @pytest.mark.long
 def test_signals_that_are_named_are_estimated_as_well(gyrofleet: Callable[..., Any], many: list[Path]) -> None:
     gyrofleet("import", many[0], "--unit", "U1", "--estimates", "supply_voltage")
-    gyrofleet("import", many[1], "--unit", "U1", "--estimates", "all")
+    wrong = gyrofleet("import", many[1], "--unit", "U1", "--estimates", "all", "--estimates", "suply_voltage")
+    assert "nothing delivers suply_voltage, which --estimates names; there is rate, supply_current" in wrong.err
     rows = gyrofleet(
         "sql", "select run, list(distinct signal order by signal) as s from estimates group by run", "--json"
     )
