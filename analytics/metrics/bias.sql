@@ -44,7 +44,9 @@ select
     earth_rate: earth_rate, scale_factor: scale_source, position: position, repeat: repeat,
     duration_s: round(duration_s), whole_seconds: case when whole_seconds < duration_s then whole_seconds end,
     n_effective: round(n_effective, 1), remark: nullif(concat_ws('; ', remark, case when is_level_north then
-      'the input axis lies north-south: GJB 2426A lays it east-west, JJF 2014 stands it upright' end), '')
+      'the input axis lies north-south: GJB 2426A lays it east-west, JJF 2014 stands it upright'
+      when not is_level_east and not is_upright and position is null then
+      'no position says how the input axis lies: it is not known how much of the Earth''s rate is in it' end), '')
   } as parameters,
   [run] as runs,
   ["index"] as steps,
