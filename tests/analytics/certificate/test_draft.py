@@ -201,6 +201,7 @@ def test_runs_that_are_left_out_are_named(laboratory: Path, run_command: Callabl
     assert "run kicked of 2026-03-02 is not evaluated: table kicked (Li Wei)" in text_of(tmp_path / "draft.pdf")
 
 
+@pytest.mark.long
 def test_a_draft_in_chinese_lists_what_is_missing_in_chinese(
     laboratory: Path, run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -152,6 +152,7 @@ def test_words_that_no_procedure_has_are_told(ask: Callable[..., Outcome]) -> No
     assert "IRA_up" in reported.partition("IRA_sideways is none of")[2]
 
 
+@pytest.mark.long
 def test_a_station_that_is_stated_later_is_that_of_the_run(ask: Callable[..., Outcome]) -> None:
     again = ("import", "unknown.csv", "--unit", "U-UNKNOWN", "--start", START, *UP)
     found = "select distinct site, station from {} where run = 'unknown'"

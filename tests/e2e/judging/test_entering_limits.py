@@ -93,7 +93,8 @@ def test_values_far_inside_of_a_limit(count: int, units: int, bound: float, *, d
     assert found == [said] * doubted
 
 
-@pytest.mark.parametrize("names", [["WALK", "P1"], pytest.param(["P1", "WALK"], marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("names", [["WALK", "P1"], ["P1", "WALK"]])
 def test_all_specifications_entered_after_a_run_judge_it_in_any_order(
     ask: Ask, tmp_path: Path, names: list[str]
 ) -> None:

@@ -82,6 +82,7 @@ def test_an_excluded_run_is_out_of_every_evaluation_until_it_is_included(run_com
     assert _verdicts(run_command, tmp_path) == {"U": ("FAIL", "FAIL")}
 
 
+@pytest.mark.long
 def test_a_mistyped_serial_is_no_unit_once_its_runs_are_excluded(run_command: Run, tmp_path: Path) -> None:
     _store(run_command, tmp_path, {("U", "a"): 5.0, ("X", "b"): 40.0})
     unknown = run_command("runs", "exclude", "b", "--unit", "U", "--reason", "x", "--store", "s", cwd=tmp_path)

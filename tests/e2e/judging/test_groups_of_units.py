@@ -78,6 +78,7 @@ def test_every_unit_is_in_its_lot(ask: Ask, tmp_path: Path) -> None:
     assert (run["procedure"], run["lot"]) == ("static_bias", "L1")
 
 
+@pytest.mark.long
 def test_a_unit_without_a_verdict_is_in_each_group_that_measured_it(ask: Ask, tmp_path: Path) -> None:
     (tmp_path / "units.csv").write_text("serial,product,lot\nG1,FOG,L1\n")
     for day, name in enumerate("AB", start=1):

@@ -55,6 +55,7 @@ def judged(ask: Ask) -> dict[tuple[str, str], dict[str, Any]]:
     return {(row["parameters"]["axis"], row["parameters"]["earth_rate"]): row for row in found}
 
 
+@pytest.mark.long
 def test_an_upper_limit_alone_is_one_of_the_magnitude(ask: Ask, enter: Callable[..., Any], flipped: Any) -> None:
     """-2 deg/h/g passed a limit of 1."""
     flipped("--latitude", "40")

@@ -110,7 +110,7 @@ def test_a_retest_after_a_withdrawal_has_a_row_and_counts_on_its_day(ask: Ask, e
     assert {row["verdict"] for row in ask("verdicts")["units"]} == {"PASS"}
 
 
-@pytest.mark.in_gate("5.0")
+@pytest.mark.long
 @pytest.mark.parametrize("failing", [20.0, 5.0])
 def test_a_mistyped_product_of_a_revision_makes_no_unit_pass(ask: Ask, enter: Ask, failing: float) -> None:
     """The failing run is in the time of revision B, which is for PI; that after it is judged by C."""
@@ -176,7 +176,8 @@ def test_a_unit_moved_to_another_product_with_limits_passes(ask: Ask, enter: Ask
     assert [row["verdict"] for row in ask("verdicts")["units"]] == ["PASS"]
 
 
-@pytest.mark.parametrize("is_measured", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("is_measured", [True, False])
 def test_a_product_whose_limits_are_over_is_not_called_wrong(ask: Ask, enter: Ask, is_measured: bool) -> None:
     """Those of another product are in force; a unit of which nothing was measured does not pass either."""
     text = A.replace("[[limit]]", UNTIL + "[[limit]]")

@@ -151,6 +151,7 @@ def test_an_operator_pauses_resumes_and_aborts_over_http(
     assert note["author"] == "operator-program"
 
 
+@pytest.mark.long
 def test_a_run_that_sends_to_a_recorder_takes_commands_too(
     store: Path, bench: Bench, spawn: Spawn, state: State, kept: Kept, endpoint: str
 ) -> None:

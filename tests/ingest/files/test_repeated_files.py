@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 
 def write(path: Path, seed: int) -> None:
@@ -12,6 +13,7 @@ def write(path: Path, seed: int) -> None:
     path.write_text("\n".join(["time[s],rate[deg/h]", *rows]) + "\n")
 
 
+@pytest.mark.long
 def test_content_that_is_stored_under_another_name_is_warned_of(
     run_command: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -52,6 +52,7 @@ def test_values_that_come_again_and_again_are_no_copy(ask: Callable[..., Any], t
         assert file["signals"][0]["added"] == 300
 
 
+@pytest.mark.long
 def test_copies_within_a_run_are_warned_of(ask: Callable[..., Any], tmp_path: Path) -> None:
     rows = [f"{3600 * copy + i},{value},static_bias,{copy},IRA_up" for copy in (0, 1) for i, value in enumerate(RATES)]
     head = "time[s],rate[deg/h],procedure,step,position"
