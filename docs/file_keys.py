@@ -5,14 +5,34 @@
 
 import inspect
 import re
+import sys
 import textwrap
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, get_args, get_origin
 
 import msgspec
 
 _FIELD = re.compile(r"^ {4}(\w+): (.+?)(?: = (.+?))?(?:  # (.*))?$")
-_FACTORIES = {"msgspec.field(default_factory=dict)": "{}"}
+_COMMENT = re.compile(r"^ {4}# (.+)$")
+_DEFAULTS = {"msgspec.field(default_factory=dict)": "{}", "None": "", "True": "true", "False": "false", "()": "[]"}
+_WORDS = (
+    (r"Annotated\[(\w+), msgspec\.Meta\([^)]*\)\]", r"\1"),
+    (r"Literal\[([^]]+)\]", r"\1"),
+    (r"tuple\[(.+), \.\.\.\]", r"list of \1"),
+    (r"dict\[\w+, (.+?)\]", r"table of \1"),
+    (r" \| None\b", ""),
+    (r" \| ", " or "),
+    (r"\b(str|Text|Name|Names|Value)\b", lambda found: "text or number" if found[0] == "Value" else "text"),
+    (r"\bint\b", "whole number"),
+    (r"\bfloat\b", "number"),
+    (r"\bbool\b", "true or false"),
+    (r"whole number or number", "number"),
+    (r"\bIndex\b", "whole number"),
+    (r"\bAny\b", "values"),
+    (r"list of \"?(Item|FrameField)\b\"?", "list of tables"),
+    (r"\b(\w+Options|\w+Entry|FrameNumber|FrameChecksum|StatedUncertainty|Series)\b", "table"),
+    (r"table of table\b", "table of tables"),
+)
 
 
 def page() -> str:
@@ -71,15 +91,33 @@ def _text(each: type) -> str:
 
 def _keys(each: type[msgspec.Struct]) -> str:
     """Keys of a table with types, defaults and meanings, of its own class."""
-    rows = []
+    rows, remark = [], ""
+    names = vars(sys.modules[each.__module__])
     renamed = {field.name: field.encode_name for field in msgspec.structs.fields(each)}
     for line in textwrap.dedent(inspect.getsource(each)).splitlines():
         if line.lstrip().startswith(("def ", "@")):
             break
         if (found := _FIELD.match(line)) and found[1] in renamed:
-            default = "needed" if found[3] is None else f"`{_FACTORIES.get(found[3], found[3])}`"
-            rows.append((f"`{renamed[found[1]]}`", f"`{found[2]}`", default, (found[4] or "").replace("``", "`")))
+            given = _DEFAULTS.get(found[3] or "", found[3])
+            default = "needed" if found[3] is None else f"`{given}`" if given else ""
+            what = (found[4] or remark).replace("``", "`")
+            rows.append((f"`{renamed[found[1]]}`", _type(found[2], names), default, what))
+        remark = "" if (comment := _COMMENT.match(line)) is None else comment[1]
     return _table(("key", "type", "by default", "what it is"), rows) if rows else ""
+
+
+def _type(written: str, names: Mapping[str, Any] | None = None) -> str:
+    """A type in plain words.
+
+    >>> _type("tuple[str, ...]"), _type("float | None"), _type("dict[str, str]"), _type('Literal["N", "E"]')
+    ('list of text', 'number', 'table of text', '"N", "E"')
+    """
+    for alias in re.findall(r"\b[A-Z]\w+", written):
+        if choices := get_args(value) if get_origin(value := (names or {}).get(alias)) is Literal else ():
+            written = written.replace(alias, ", ".join(f'"{each}"' for each in choices))
+    for pattern, word in _WORDS:
+        written = re.sub(pattern, word, written)
+    return written
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

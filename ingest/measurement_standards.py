@@ -89,25 +89,13 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 
 class Standard(msgspec.Struct, frozen=True, kw_only=True):
-    """What is stated of a measurement standard.
+    """What is stated of a measurement standard."""
 
-    Parameters
-    ----------
-    serial, certificate
-        Its serial number, and the number of its calibration certificate.
-    calibration_due
-        Last day on which its calibration holds, as 2027-03-31.
-    traceable_to
-        To what its certificate is traceable, such as the national standard of rate at NIM.
-    uncertainty
-        Uncertainty of its quantities, by the names of `QUANTITIES`.
-    """
-
-    serial: str = ""
-    certificate: str = ""
-    calibration_due: str | None = None
-    traceable_to: str = ""
-    uncertainty: dict[str, StatedUncertainty] = {}
+    serial: str = ""  # its serial number
+    certificate: str = ""  # number of its calibration certificate
+    calibration_due: str | None = None  # last day on which its calibration holds, as 2027-03-31
+    traceable_to: str = ""  # such as the national standard of rate at NIM
+    uncertainty: dict[str, StatedUncertainty] = {}  # by quantity, as rate or angle
 
     def check(self) -> None:
         """Raise BadInput if it cannot be meant."""

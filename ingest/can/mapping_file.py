@@ -29,18 +29,18 @@ class SignalEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CounterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The signal that counts frames, from 0 to `modulus` - 1 (by default all its bits hold)."""
 
-    signal: str
-    modulus: int | None = None
+    signal: str  # name in the database
+    modulus: int | None = None  # by default 2 to the number of its bits
 
 
 class ChecksumEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The signal with a checksum over bytes `first_byte` to `last_byte` but its own, with `prefix` before them."""
 
-    signal: str
-    algorithm: str
-    first_byte: int = 0
-    last_byte: int | None = None
-    prefix: tuple[int, ...] = ()
+    signal: str  # name in the database
+    algorithm: str  # xor, sum8, crc8_sae_j1850, crc8_sae_j1850_zero or crc8_autosar
+    first_byte: int = 0  # of those it is over, from 0
+    last_byte: int | None = None  # by default the frame's last
+    prefix: tuple[int, ...] = ()  # bytes that are counted in before them
 
 
 class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -14,9 +14,9 @@ class PowerSupplyOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_
     """Table of a power supply."""
 
     max_voltage_v: float  # that of the gyros rather than of the supply
-    max_current_a: float
+    max_current_a: float  # limit of the current, that of the gyros
     band_v: float = 0.05  # a voltage has settled when it is measured within this of its setting for `stable_s`
-    stable_s: float = 0.0
+    stable_s: float = 0.0  # how long it is within its band, seconds
 
 
 class PowerSupply(ScpiInstrument):

@@ -13,14 +13,14 @@ class RateTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fi
     """Table of a rate table."""
 
     max_rate_deg_per_s: float  # largest rate in both directions
-    lowest_angle_deg: float = -360.0
-    highest_angle_deg: float = 360.0
+    lowest_angle_deg: float = -360.0  # end of its travel
+    highest_angle_deg: float = 360.0  # end of its travel
     rate_band_deg_per_s: float = 0.005  # a rate has settled when it is measured within the larger of this and of
     rate_band_fraction: float = 1e-3  # this fraction of it for `stable_s`
     angle_band_deg: float = 0.01  # a position has settled when it is measured within this of its setting for `stable_s`
-    stable_s: float = 2.0
+    stable_s: float = 2.0  # how long it is within its band, seconds
     # commands by which it carries the units to positions, by the names of procedures; no operator is asked there
-    positions: dict[str, str] = msgspec.field(default_factory=dict)
+    positions: dict[str, str] = msgspec.field(default_factory=dict)  # by name of the position
 
 
 class RateTable(ScpiInstrument):

@@ -31,16 +31,16 @@ class ScpiOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True
     """
 
     resource: str  # ``TCPIP::192.168.1.20::5025::SOCKET``, ``TCPIP::192.168.1.20::INSTR``, ``ASRL/dev/ttyUSB0::INSTR``
-    backend: str = ""
+    backend: str = ""  # VISA library
     timeout_s: float = 2.0  # time to connect and to answer, seconds of the computer
-    identity: str = ""
+    identity: str = ""  # regular expression in the answer to ``*IDN?``
     check_errors: bool = True  # whether ``SYST:ERR?`` is asked after each command
     acknowledgement: str = ""  # regular expression of the line with which it answers each command; empty if it does not
-    read_termination: str = "\n"
-    write_termination: str = "\n"
+    read_termination: str = "\n"  # end of its answers
+    write_termination: str = "\n"  # end of commands
     baud_rate: int | None = None  # of a serial line
     commands: dict[str, str] = msgspec.field(default_factory=dict)  # commands that differ from the default, by name
-    answers: dict[str, str] = msgspec.field(default_factory=dict)
+    answers: dict[str, str] = msgspec.field(default_factory=dict)  # regular expressions by the name of the query
 
 
 class UnusableAnswer(InstrumentError):

@@ -12,10 +12,10 @@ from stream.errors import BadInput
 class TemperatureChamberOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Table of a temperature chamber."""
 
-    lowest_deg_c: float = -40.0
-    highest_deg_c: float = 85.0
+    lowest_deg_c: float = -40.0  # that is set
+    highest_deg_c: float = 85.0  # that is set
     band_deg_c: float = 0.5  # a temperature has settled when it is measured within this of its setting for `stable_s`
-    stable_s: float = 600.0
+    stable_s: float = 600.0  # how long it is within its band, seconds
     room_deg_c: float = 25.0  # temperature of the safe state
 
 

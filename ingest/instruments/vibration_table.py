@@ -14,12 +14,12 @@ class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unkno
     """Table of an angular-vibration table."""
 
     max_amplitude_deg_per_s: float  # largest amplitude of the rate
-    lowest_frequency_hz: float = 0.1
-    highest_frequency_hz: float = 500.0
+    lowest_frequency_hz: float = 0.1  # that is set
+    highest_frequency_hz: float = 500.0  # that is set
     frequency_band_fraction: float = 1e-3  # settings have settled when they are measured within these fractions of
     amplitude_band_fraction: float = 0.01  # their values for `stable_s`
     amplitude_band_deg_per_s: float = 0.01  # smallest band of the amplitude
-    stable_s: float = 1.0
+    stable_s: float = 1.0  # how long it is within its band, seconds
 
 
 class VibrationTable(ScpiInstrument):

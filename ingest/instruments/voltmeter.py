@@ -12,9 +12,9 @@ from stream.errors import BadInput
 class VoltmeterOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Table of a digital voltmeter."""
 
-    range_v: float = 10.0
+    range_v: float = 10.0  # of the measurement
     nplc: float = 1.0  # averaging time in mains cycles: 1 or more rejects the mains
-    mains_hz: float = 50.0
+    mains_hz: float = 50.0  # frequency of the mains, 50 or 60
 
 
 class Voltmeter(ScpiInstrument):

@@ -31,13 +31,13 @@ class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Parameter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A parameter that a user may choose; a whole number without a unit as `default` allows whole numbers only."""
 
-    default: int | float | str | tuple[int | float | str, ...]
-    en: Text
-    zh: Text
+    default: int | float | str | tuple[int | float | str, ...]  # its value where a user gives none
+    en: Text  # what it is, in English
+    zh: Text  # what it is, in Chinese
     source: Text  # the clause that gives its value, or refers to the product's specification
     unit: str = ""  # unit of measure, as in the name's ending; empty for counts and words
-    least: float | None = None
-    most: float | None = None
+    least: float | None = None  # smallest value that is taken
+    most: float | None = None  # largest value that is taken
     choices: tuple[str, ...] = ()  # the words that are possible, where it is a word
 
 
@@ -68,20 +68,21 @@ class Item(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     name: Text | None = None  # name of the step in the data; of a loop, name of its part in estimates of time
     over: Name | None = None  # ``for``: the loop's variable, with its values in `values` or `series`
+    # values that the loop's variable takes, one by one
     values: tuple[int | float | str | dict[Name, int | float | str], ...] | str | None = None
-    series: Series | None = None
+    series: Series | None = None  # the same as a series: ``kind``, ``min``, ``max``, ``count``
     times: Value | None = None  # number of repetitions; `$repeat` counts from 1 and is the step's `repeat`
     items: tuple["Item", ...] = ()  # ``step``: the steps of the loop
     use: Text | None = None  # procedure whose steps are done: a ready one, or a file beside this one
     overrides: dict[Name, Value] = {}  # ``set``: parameters of the procedure that is used
-    rate_deg_per_s: Value | None = None
-    temperature_deg_c: Value | None = None
-    frequency_hz: Value | None = None
-    amplitude_deg_per_s: Value | None = None
-    angle_deg: Value | None = None
-    position: Text | None = None
-    axis: Text | None = None
-    phase: Text | None = None
+    rate_deg_per_s: Value | None = None  # rate of the table
+    temperature_deg_c: Value | None = None  # of the chamber
+    frequency_hz: Value | None = None  # of the angular vibration
+    amplitude_deg_per_s: Value | None = None  # of the angular vibration's rate
+    angle_deg: Value | None = None  # position of the table
+    position: Text | None = None  # how the input axis lies, as IRA_up
+    axis: Text | None = None  # that turns, where the unit has several
+    phase: Text | None = None  # part of the test, such as before and after a shock
     settle_s: Value | None = None  # dropped at the step's start, seconds
     record_s: Value | None = None  # recorded after that, seconds
     warm_up_s: Value | None = None  # waited after power-on, seconds
@@ -89,7 +90,7 @@ class Item(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     power: str | None = None  # ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing
     prompt: Names | None = None  # action that an operator performs and confirms before the step
     room: bool | None = None  # whether it is the step at room temperature
-    wait_settled: tuple[str, ...] | None = None
+    wait_settled: tuple[str, ...] | None = None  # settings that settle before it begins
 
 
 class ProcedureFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"items": "step"}):

@@ -26,13 +26,13 @@ _LONGEST = 4096
 class FrameField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A quantity in a frame: `at` is its first byte, counted from the frame's first; value = raw * scale + offset."""
 
-    signal: str
-    at: Index
-    type: FieldType
-    scale: float = 1.0
-    offset: float = 0.0
-    unit: str = "1"
-    byte_order: ByteOrder | None = None
+    signal: str  # name of the quantity
+    at: Index  # its first byte, from 0
+    type: FieldType  # of the raw number
+    scale: float = 1.0  # value of one count
+    offset: float = 0.0  # value of count 0
+    unit: str = "1"  # unit of measure of the value; 1 is none
+    byte_order: ByteOrder | None = None  # ``big`` or ``little``; by default that of the frame
 
 
 class FrameNumber(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,22 +41,22 @@ class FrameNumber(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     A counter wraps at `modulus`, by default at the range of its type. A length plus `add` is that of the whole frame.
     """
 
-    at: Index
-    type: Literal["u8", "u16", "u24", "u32"]
-    modulus: Annotated[int, msgspec.Meta(ge=2)] | None = None
-    add: int = 0
-    byte_order: ByteOrder | None = None
+    at: Index  # its first byte, from 0
+    type: Literal["u8", "u16", "u24", "u32"]  # of the number
+    modulus: Annotated[int, msgspec.Meta(ge=2)] | None = None  # at which a counter begins again
+    add: int = 0  # bytes of a frame that its length field leaves out
+    byte_order: ByteOrder | None = None  # ``big`` or ``little``; by default that of the frame
 
 
 class FrameChecksum(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A checksum over the bytes from `start` up to, not including, `stop`; negative ones count from the frame's end."""
 
-    kind: SerialChecksum
-    at: int = -1
-    start: int = 0
-    stop: int | None = None
-    initial: int | None = None
-    byte_order: ByteOrder | None = None
+    kind: SerialChecksum  # how it is computed
+    at: int = -1  # its first byte; -1 is the frame's last
+    start: int = 0  # first byte it is over
+    stop: int | None = None  # the byte after the last of these; by default the checksum's own first
+    initial: int | None = None  # value that it begins with; by default that of its kind
+    byte_order: ByteOrder | None = None  # ``big`` or ``little``; by default that of the frame
 
 
 class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,12 +85,12 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     length_field: FrameNumber | None = None  # the field that holds it, instead
     longest: int = 256  # bytes of the longest frame with a length field: a length beyond it is garbage
     byte_order: ByteOrder = "big"  # ``big`` or ``little``, unless a field has its own
-    fields: tuple[FrameField, ...]
+    fields: tuple[FrameField, ...]  # the quantities in the frame
     counter: FrameNumber | None = None  # tells lost frames
-    checksum: FrameChecksum | None = None
-    data_bits: Literal[7, 8] = 8
-    parity: Literal["N", "E", "O"] = "N"
-    stop_bits: Literal[1, 2] = 1
+    checksum: FrameChecksum | None = None  # by default none is checked
+    data_bits: Literal[7, 8] = 8  # of the line
+    parity: Literal["N", "E", "O"] = "N"  # none, even or odd
+    stop_bits: Literal[1, 2] = 1  # of the line
 
     @property
     def sync_bytes(self) -> bytes:

@@ -90,34 +90,34 @@ class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class BusTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[buses.NAME]`: a CAN bus with gyros; `dbc` databases and `mapping` (signals of units) lie beside the file."""
 
-    bus: CanBusOptions
-    dbc: tuple[str, ...]
-    mapping: str
+    bus: CanBusOptions  # the interface, as below
+    dbc: tuple[str, ...]  # databases of its frames, beside the file
+    mapping: str  # file that says which frames are of which unit, beside the file
 
 
 class LineTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[lines.NAME]`: a serial line with one gyro; `layout` is the file that describes its frames."""
 
-    port: str
-    baud: int = 115_200
-    unit: str
-    layout: str
+    port: str  # of the computer, as /dev/ttyUSB0 or COM3
+    baud: int = 115_200  # bits per second
+    unit: str  # serial number of its gyro
+    layout: str  # file with the layout of its frames, beside the file
 
 
 class SlotTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[slots.NAME]`: where a unit is mounted: its fixture, and the instrument that powers it."""
 
-    fixture: str = ""
-    power: str | None = None
+    fixture: str = ""  # name of its place, which trends compare
+    power: str | None = None  # name of the instrument that powers it
 
 
 class StationTable(StationLocation, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[station]`: names, place on Earth, and time zone (what is "the same day")."""
 
-    site: str
-    name: str
-    time_zone: str = "UTC"
-    simulated: bool = False
+    site: str  # plant or laboratory, of which it is one station
+    name: str  # of the station
+    time_zone: str = "UTC"  # IANA name, such as `Asia/Shanghai`
+    simulated: bool = False  # whether its data are simulated; runs, reports and certificates say so
     security: str = ""  # folder of its certificate, beside the file; "mtls" is the folder `security`
 
 
