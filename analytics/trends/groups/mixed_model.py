@@ -41,6 +41,7 @@ class _Sums(NamedTuple):
     between: FloatArray  # shape (sizes, m, m); of the sums over each unit, added over the units of one size
     sizes: IntArray  # numbers of values of a unit
     units: IntArray  # how many units have as many
+    least: float  # squares that remain where all effects are free; no variances leave less
 
 
 class _Equations(NamedTuple):
@@ -83,7 +84,9 @@ class MixedModel:
         within = less_block_means(columns, self.unit)
         sizes = np.unique(counts)
         between = np.array([sums[counts == size].T @ sums[counts == size] for size in sizes])
-        return _Sums(within.T @ within, between, sizes, np.array([(counts == size).sum() for size in sizes]))
+        units = np.array([(counts == size).sum() for size in sizes])
+        free = within[:, -1] - within[:, :-1] @ np.linalg.lstsq(within[:, :-1], within[:, -1])[0]
+        return _Sums(within.T @ within, between, sizes, units, float(free @ free))
 
     @property
     def has_repeats(self) -> bool:
@@ -153,7 +156,8 @@ class MixedModel:
         inverse = np.asarray((vectors / values) @ vectors.T, np.float64)
         solution = inverse @ right
         log_det = float(np.linalg.slogdet(correlated)[1] - 2 * np.log(size).sum() + np.log(values).sum())
-        squares = float(left[-1, -1] - solution @ right)
+        # beside ratios of 1e16 the difference is rounding alone, perhaps negative, and would be the likeliest
+        squares = max(float(left[-1, -1] - solution @ right), sums.least)
         return _Equations(ratio, inverse_fixed, beside, scale, inverse, solution, squares, log_det)
 
     def _deviance(self, logs: FloatArray) -> float:

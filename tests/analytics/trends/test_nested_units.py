@@ -76,3 +76,16 @@ def test_units_alone_make_no_difference_of_fixtures(trials: int) -> None:
     assert named <= binom.isf(1e-4, trials, 0.05)
     # two differences of three are independent: as of fewer trials
     assert count - covered <= 1.5 * binom.isf(1e-4, 2 * trials, 0.05)
+
+
+def test_scatter_of_a_fleet_with_a_frozen_lot_and_one_far_away_stays_that_of_its_values() -> None:
+    """Beside a variance of lots of 1e18 times that of measurements rounding made the squares negative: 683 deg/h."""
+    unit = np.repeat(np.arange(22), 2)
+    lot, station = (np.repeat(levels, (6, 6, 1, 8, 1)) for levels in ((0, 1, 2, 3, 4), (0, 0, 1, 1, 2)))
+    rng, is_frozen = np.random.default_rng(5), lot == 3
+    own = np.array([1.0, 1.0, 9.0, 2.0, 1.0])[lot] + 0.1 * rng.standard_normal(22) * ~is_frozen
+    value = own[unit] + 0.002 * rng.standard_normal(44) * ~is_frozen[unit]
+    found = trend_of(series_of(value, unit, lot=lot[unit], station=station[unit])).components
+    assert np.log(found["residual"].value / 0.002) ** 2 < 0.25
+    assert 0.0 < found["unit"].lo < 0.1 < found["unit"].hi < 0.2
+    assert 1.0 < found["lot"].value < 10.0 > found["station"].value
