@@ -215,8 +215,9 @@ class _Writer:
             part = "the part of it that was salvaged" if entry.origin == "salvaged" else "another one"
             raise StoreError(
                 f"{self._folder} has segment {entry.segment} whole, {kept.samples:,} samples, the store has {part}, "
-                f"{entry.samples:,} samples; the backup is as it was. `gyrofleet restore` brings the whole one back; "
-                "to go on with the store as it is, back up into a new folder"
+                f"{entry.samples:,} samples; the backup is as it was. "
+                f"`gyrofleet restore {shlex.quote(str(self._folder))} --store NEW` makes a store that has the whole "
+                "one; to go on with the store as it is, back up into a new folder"
             )
 
     def _bring(self, entry: SegmentEntry) -> None:
@@ -230,13 +231,17 @@ class _Writer:
                 self._look_at_source(entry)
                 return
             self._rewritten.append(entry.segment)
-        source = CopiedFile(entry.segment, entry.size, entry.sha256)
-        if target.exists() and not source.is_intact(self._store.log):
-            raise self._unsealed(entry, sha256_of(self._store.log / entry.segment))
-        fresh = copy_file(self._store.log / entry.segment, self._folder, path)
+        source, is_there = self._store.log / entry.segment, target.exists()
+        state = self._state + ", its copy of the segment damaged as well" * is_there
+        if not source.exists():
+            remedy = "`gyrofleet verify` says what is lost, `gyrofleet recover` notes it"
+            raise StoreError(f"{source} is not there: {remedy}; {state}")
+        if is_there and not CopiedFile(entry.segment, entry.size, entry.sha256).is_intact(self._store.log):
+            raise self._unsealed(entry, sha256_of(source), state)
+        fresh = copy_file(source, self._folder, path)
         if fresh != copy:
             target.unlink()
-            raise self._unsealed(entry, fresh.sha256)
+            raise self._unsealed(entry, fresh.sha256, state)
         self._added += 1
         self._added_bytes += entry.size
 
@@ -250,10 +255,10 @@ class _Writer:
         if not is_well:
             self._damaged.append(entry.segment)
 
-    def _unsealed(self, entry: SegmentEntry, sha256: str) -> StoreError:
+    def _unsealed(self, entry: SegmentEntry, sha256: str, state: str) -> StoreError:
         return StoreError(
             f"{self._store.log / entry.segment} is not as it was sealed (SHA-256 {sha256[:12]}, listed "
-            f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; {self._state}"
+            f"{entry.sha256[:12]}): `gyrofleet verify` says what is damaged; {state}"
         )
 
     def _files(self) -> list[CopiedFile]:

@@ -1,5 +1,6 @@
 """The commands `gyrofleet backup` and `gyrofleet restore`."""
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -49,7 +50,8 @@ def backup(destination: Path, folder: Path, *, check: bool, as_json: bool) -> No
     for name in done.rewritten:
         notes().print(f"{destination / 'log' / name} was damaged in the backup and is copied again", soft_wrap=True)
     for name in done.damaged:
-        remedy = f"`gyrofleet verify --store {folder}` says what is wrong, `gyrofleet restore` brings it back"
+        restored = f"`gyrofleet restore {shlex.quote(str(destination))} --store NEW` makes a store that has it"
+        remedy = f"`gyrofleet verify` says what is wrong, {restored}"
         notes().print(f"{folder / 'log' / name} is damaged; it is whole in the backup: {remedy}", soft_wrap=True)
     for entry in found.lost:
         notes().print(f"{folder} has lost segment {entry.segment}; it is in the backup", soft_wrap=True)

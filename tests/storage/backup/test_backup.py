@@ -183,11 +183,16 @@ def test_damage_in_the_store_after_a_backup_is_named(
     checked = gyrofleet("backup", "B", "--check", "--store", "S")
     assert checked.code == 1
     assert "00000001.mcap is damaged; it is whole in the backup" in checked.err
+    assert "`gyrofleet restore B --store NEW`" in checked.err  # a store that is there is no place to restore into
     assert read_backup(tmp_path / "B").segments == before.segments
     assert restore(tmp_path / "B", tmp_path / "R")
     assert verify(Store.open(tmp_path / "R"))[0].is_sound
     into_new = gyrofleet("backup", "N", "--store", "S")
     assert (into_new.code, "N is no backup yet" in into_new.err) == (1, True)
+    (tmp_path / "B" / "log" / flipped.name).write_bytes(bytes(content))
+    assert "its copy of the segment damaged as well" in gyrofleet("backup", "B", "--check", "--store", "S").err
+    flipped.unlink()
+    assert "00000001.mcap is not there: `gyrofleet verify --store S`" in gyrofleet("backup", "M", "--store", "S").err
 
 
 @pytest.mark.long
