@@ -33,6 +33,11 @@ def kind_name(kind: str, language: str) -> str:
     return _of(_content()["kinds"], kind, language)
 
 
+def notes_of_store() -> list[str]:
+    """The words of `StoreNoted.what`."""
+    return list(_content()["words"]["what"])
+
+
 def is_known_kind(kind: str) -> bool:
     """Whether there are documents of this kind."""
     return kind in _content()["kinds"]

@@ -10,7 +10,10 @@ from analytics.floor import UnitNow
 from analytics.loop.bilingual import Bilingual
 from storage.recording.store_status import StoreStatus
 from storage.store import Store
+from stream.errors import GyrofleetError
 from stream.events import AnyDocument
+
+_AGAIN_H = 1 / 60  # a choice that no value is of is looked for by evaluating the store
 
 
 class Finding(NamedTuple):
@@ -38,14 +41,20 @@ class AlertView:
     status: StoreStatus
     damaged_bytes: Mapping[str, int]  # by segment of the log
     store: Store
-    kept: dict[str, tuple[int, list[Finding]]]  # what a condition computed, and when (ns)
+    kept: dict[str, tuple[float, list[Finding] | GyrofleetError]]  # what a condition computed, and when it is due (ns)
 
     def every(self, hours: float, key: str, compute: Callable[[], list[Finding]]) -> list[Finding]:
-        """What is computed under a key every so many hours; as before where it is not due."""
-        found = self.kept.get(key)
-        if found is None or self.now_ns - found[0] >= hours * 3600e9:
-            found = self.kept[key] = (self.now_ns, compute())
-        return found[1]
+        """What is computed under a key every so many hours, after an error in a minute; as before where not due."""
+        due_ns, found = self.kept.get(key, (self.now_ns, []))
+        if self.now_ns >= due_ns:
+            try:
+                found = compute()
+            except GyrofleetError as error:
+                found, hours = error, min(hours, _AGAIN_H)
+            self.kept[key] = (self.now_ns + hours * 3600e9, found)
+        if isinstance(found, GyrofleetError):
+            raise found.with_traceback(None)  # it is raised every second
+        return found
 
 
 class Condition(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):

@@ -1,6 +1,7 @@
 """Base class of conditions on the values of a metric over time."""
 
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from typing import Annotated, Literal
 
 import msgspec
@@ -18,7 +19,8 @@ class MetricCondition(Condition, frozen=True, kw_only=True):
     """Each kind of value of a `metric` is watched: averaging times, axes, temperatures.
 
     Of values with and without the Earth's rate, which are of the same records, those that `gyrofleet trend` shows are.
-    `signal`, `standard`, `product` and `parameters` (as ``{ average_s = "100" }``) choose some of them.
+    `signal`, `standard`, `product` and `parameters` (as ``{ average_s = "100" }``) choose some of them;
+    `units`, of the rule, whose units count: of a trend of lots or stations too, which is of no unit alone.
     """
 
     metric: str
@@ -27,6 +29,7 @@ class MetricCondition(Condition, frozen=True, kw_only=True):
     product: str | None = None
     parameters: dict[str, str | float | bool] = msgspec.field(default_factory=dict)
     every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+    units: str = "*"
 
     def check(self) -> None:
         """As of `Condition`."""
@@ -50,6 +53,8 @@ class MetricCondition(Condition, frozen=True, kw_only=True):
                 if choice != Choice():
                     raise  # nothing may ever match it
                 return []  # no value of the metric yet
+            places = [[at for at, unit in enumerate(each.serial) if fnmatchcase(unit, self.units)] for each in series]
+            series = [each.where(at) for each, at in zip(series, places, strict=True) if at]
             return self.of_series(_of_different_records(series), catalog)
 
     def of_series(self, series: Sequence[MetricSeries], catalog: Catalog) -> list[Finding]:

@@ -140,7 +140,8 @@ def _rule(number: int, table: dict[str, Any], targets: Sequence[str]) -> Rule:
     if not isinstance(kind, str) or kind not in kinds:
         raise BadInput(f"rule {number}: kind is {kind!r}; there are {', '.join(sorted(kinds))}")
     own = {name: table.pop(name) for name in _OWN if name in table}
-    condition = _converted(where, {"kind": kind, **table}, kinds[kind])
+    shared = {name: own[name] for name in kinds[kind].__struct_fields__ if name in own}
+    condition = _converted(where, {"kind": kind, **table, **shared}, kinds[kind])
     try:
         condition.check()
     except BadInput as error:

@@ -55,7 +55,7 @@ class AlertService(Closing):
         self._floor, self._last_samples = Floor(), LastSamples()
         done = {segment for segment in sealed if segment < self._book.segment}
         self._follower = LogFollower(store, without=done & self._fill_floor(), unread=True)
-        self._kept: dict[str, tuple[int, list[Finding]]] = {}
+        self._kept: dict[str, tuple[float, list[Finding] | GyrofleetError]] = {}
         self._log_at = 0.0
         self._looked_s = time.monotonic()
         self._problems: dict[str, str] = {}

@@ -38,5 +38,6 @@ class LevelChangeCondition(MetricCondition, frozen=True, kw_only=True, tag="leve
                     f"the level of {level} of {name} changes at {when}: {odds} times more probable than a wander",
                     f"{name} 的 {each.metric}（{each.variant}）水平自 {when} 起变化：其概率为缓慢游走的 {odds} 倍",
                 )
-                changed.append(Finding(key_of("level_change", each, name), name, text))
+                unit = part.serial[0] if self.by == "unit" else None
+                changed.append(Finding(key_of("level_change", each, name), name, text, unit=unit))
         return changed

@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 
 from analytics.alerts.finding import AlertView, Condition, Finding
-from analytics.event_words import store_note
+from analytics.event_words import notes_of_store, store_note
 from analytics.loop.bilingual import Bilingual
+from stream.errors import BadInput
 from stream.events import StoreNoted
+from stream.mistakes import near_name
 
 
 class StoreNotedCondition(Condition, frozen=True, kw_only=True, tag="store_noted"):
@@ -15,6 +17,13 @@ class StoreNotedCondition(Condition, frozen=True, kw_only=True, tag="store_noted
         "source_clock_back", "arrival_clock_step", "segment_recovered", "recording_paused", "disk_low", "disk_error",
         "number_conflict",
     )  # fmt: skip
+
+    def check(self) -> None:
+        """As of `Condition`."""
+        known = notes_of_store()
+        if wrong := [each for each in self.what if each not in known]:
+            there = near_name(wrong[0], known) or f"; there are {', '.join(known)}"
+            raise BadInput(f"the store notes no {wrong[0]!r}{there}")
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Notes since the last look."""

@@ -1,7 +1,7 @@
 """A unit is judged by its specifications, by every metric that was measured, from runs and from files."""
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -11,7 +11,6 @@ from analytics.evaluation.table import name_of
 from analytics.loop.bilingual import Bilingual
 from analytics.specifications.verdicts import Row, verdicts_of
 from storage.sql.catalog import Catalog
-from stream.events import Verdict
 
 _METRICS = {"FAIL": "failures", "MARGINAL": "undecided", "NO_DATA": "lacking"}
 _ZH = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
@@ -23,7 +22,9 @@ class UnitVerdictCondition(Condition, frozen=True, kw_only=True, tag="unit_verdi
     It is cleared once the unit has another verdict, as when its run is excluded.
     """
 
-    verdicts: Annotated[tuple[Verdict, ...], msgspec.Meta(min_length=1)] = (Verdict.FAIL,)
+    verdicts: Annotated[tuple[Literal["PASS", "FAIL", "MARGINAL", "NO_DATA"], ...], msgspec.Meta(min_length=1)] = (
+        "FAIL",
+    )
     every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 0.1
 
     def findings(self, view: AlertView) -> Iterator[Finding]:

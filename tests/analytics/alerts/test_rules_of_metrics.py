@@ -1,6 +1,7 @@
 """Rules about metrics and verdicts, over a store that was imported from files."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,10 @@ import pytest
 
 from analytics.alerts.conditions.control_chart import ControlChartCondition
 from analytics.alerts.conditions.level_change import LevelChangeCondition
-from analytics.alerts.finding import AlertView
+from analytics.alerts.finding import AlertView, Finding
 from analytics.alerts.kept_alerts import raised_alerts
 from analytics.alerts.metric_condition import MetricCondition
+from analytics.alerts.rules import load_rules
 from analytics.alerts.service import AlertService
 from storage.store import Store
 from stream.errors import NotFound
@@ -105,6 +107,47 @@ def test_each_kind_of_value_is_watched(two_positions: AlertView, kind: type[Metr
     assert "position=IRA_down" in changed[0].text.zh
     of_one = kind(metric="bias", parameters={"position": "IRA_up"})
     assert not [each for each in of_one.findings(two_positions) if "IRA_down" in each.text]
+
+
+@pytest.mark.parametrize(("units", "count"), [("G*", 1), ("Z*", 0)])
+@pytest.mark.parametrize("kind", ["level_change", "control_chart"])
+def test_the_units_of_a_rule_are_those_whose_values_are_watched(
+    two_positions: AlertView, tmp_path: Path, kind: str, units: str, count: int
+) -> None:
+    rule = f'[[rules]]\nkind = "{kind}"\nmetric = "bias"\nunits = "{units}"\n'
+    (tmp_path / "rules.toml").write_text(rule + 'parameters = { position = "IRA_down" }\n')
+    (made,) = load_rules(tmp_path / "rules.toml").rules
+    found = list(made.condition.findings(two_positions))
+    assert len([each for each in found if made.concerns(each)]) == count
+    assert all(each.unit == "G1" for each in found) or kind == "control_chart"
+
+
+def test_an_error_is_computed_again_after_a_minute_not_at_every_look(two_positions: AlertView) -> None:
+    view, asked = replace(two_positions, kept={}), list[int]()
+
+    def compute() -> list[Finding]:
+        asked.append(view.now_ns)
+        raise NotFound("none")
+
+    for second in range(0, 130, 10):
+        view.now_ns = second * 10**9
+        with pytest.raises(NotFound):
+            view.every(1.0, "key", compute)
+    assert asked == [0, 60 * 10**9, 120 * 10**9]
+
+
+@pytest.mark.parametrize(
+    ("rule", "why"),
+    [
+        ('kind = "unit_verdict"\nverdicts = ["ABORTED"]', "there are PASS, FAIL, MARGINAL, NO_DATA"),
+        ('kind = "store_noted"\nwhat = ["disk_lo"]', "the store notes no 'disk_lo', did you mean disk_low?"),
+    ],
+)
+def test_a_word_that_can_never_be_is_refused(tmp_path: Path, run_command: Run, rule: str, why: str) -> None:
+    (tmp_path / "rules.toml").write_text(f"[[rules]]\n{rule}\n")
+    done = run_command("alert", "check", "--rules", "rules.toml", cwd=tmp_path)
+    assert done.code == 1
+    assert why in done.err
 
 
 def test_a_choice_that_nothing_is_of_is_an_error(two_positions: AlertView) -> None:
