@@ -16,7 +16,7 @@ GroupName = Literal["unit", "product", "lot", "station", "fixture"]
 
 
 class MetricCondition(Condition, frozen=True, kw_only=True):
-    """Each kind of value of a `metric` is watched: averaging times, axes, temperatures.
+    """Each kind of value of a `metric` is watched: averaging times, axes, temperatures, units of measure.
 
     Of values with and without the Earth's rate, which are of the same records, those that `gyrofleet trend` shows are.
     `signal`, `standard`, `product` and `parameters` (as ``{ average_s = "100" }``) choose some of them;
@@ -66,10 +66,10 @@ def _of_different_records(series: Sequence[MetricSeries]) -> list[MetricSeries]:
     found: dict[tuple[object, ...], MetricSeries] = {}
     for each in series:
         others = tuple(pair for pair in each.variant.parameters if pair[0] != "earth_rate")
-        found.setdefault((each.variant.standard, others), each)
+        found.setdefault((each.variant.standard, others, each.unit_of_measure), each)
     return list(found.values())
 
 
 def key_of(condition: str, series: MetricSeries, of: str) -> str:
     """The key of a finding of one kind of value."""
-    return f"{condition}/{series.metric}/{series.variant}/{of}"
+    return f"{condition}/{series.metric}/{series.variant}/{series.unit_of_measure}/{of}"

@@ -29,6 +29,7 @@ def document(trend: Trend) -> dict[str, Any]:
         "values": series.value.size,
         "units": len(set(series.serial)),
         "without_value": series.without_value,
+        "other_measures": dict(series.other_measures),
         "without_interval": without_interval(series),
         "undated_left_out": series.undated,
         "undated_runs": list(series.undated_runs),

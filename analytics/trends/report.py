@@ -391,6 +391,7 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         yield words("not_compared", each=words("groups_not_compared", names=which, why=trend.comparison.why))
     if trend.scatters.left_out:
         yield words("not_compared", each=joined(trend.scatters.left_out))
+    yield from (words("other_measure", n=n, measure=measure) for measure, n in series.other_measures.items())
     if series.without_value:
         yield words("without_value", n=series.without_value, metric=series.metric)
     if not series.dated:

@@ -3,7 +3,7 @@
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -62,6 +62,7 @@ class MetricSeries:
     undated_runs: tuple[str, ...] = ()  # runs without a date, whose values are left out
     undated: int = 0  # how many values that are
     remarks: list[str] | None = None  # of each value, empty where it has none
+    other_measures: Mapping[str, int] = field(default_factory=dict)  # values of this kind by another unit of measure
     excluded: tuple[str, ...] = ()  # runs of these units that people have excluded, each with its unit and why
 
     @property
@@ -148,7 +149,7 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
 
 
 def every_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> list[MetricSeries]:
-    """The values of each kind of one metric that has any, in the order of `read_series`; NotFound if there is none."""
+    """The values of each kind and unit of measure that has any, in the order of `read_series`; NotFound if none has."""
     check_metrics([metric])
     with evaluated(catalog, [metric]):
         found = rows_of(catalog, METRIC_VALUES, {"metric": metric, "unit": ""})
@@ -163,10 +164,15 @@ def every_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> li
     named = tuple(f"{row['run']} ({row['unit']}: {row['reason']})" for row in of_units)
     every = []
     for variant, own in kinds.items():
-        if valued := [row for row in own if row["value"] is not None]:
-            others = tuple(each for each in kinds if each != variant)
-            series = _series(metric, valued, variant, others, len(own) - len(valued))
-            every.append(replace(series, excluded=named))
+        others = tuple(each for each in kinds if each != variant)
+        valued = [row for row in own if row["value"] is not None]
+        # scale factors of outputs in volts and in deg/s cannot share a chart
+        counts = Counter(row["unit_of_measure"] for row in valued)
+        for measure, _ in counts.most_common():
+            alike = [row for row in valued if row["unit_of_measure"] == measure]
+            series = _series(metric, alike, variant, others, len(own) - len(valued))
+            measures = {each: count for each, count in counts.items() if each != measure}
+            every.append(replace(series, excluded=named, other_measures=measures))
     if not every:
         own = next(iter(kinds.values()))
         reasons = Counter(row["reason"] for row in own)
@@ -305,10 +311,6 @@ def _ordered_kinds(
 def _series(
     metric: str, rows: list[dict[str, Any]], variant: Variant, others: tuple[Variant, ...], without_value: int
 ) -> MetricSeries:
-    ((unit_of_measure, most),) = Counter(row["unit_of_measure"] for row in rows).most_common(1)
-    # scale factors of outputs in volts and in deg/s cannot share a chart
-    without_value += len(rows) - most
-    rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
     undated = [row for row in rows if not row["date_known"]]
     if len(undated) > len(rows) / 2:  # the order in which they were recorded is all that is known of most
         undated = []
@@ -317,7 +319,8 @@ def _series(
     several = len({row["signal"] for row in rows}) > 1
     groups = {name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")}
     return MetricSeries(
-        metric=metric, unit_of_measure=unit_of_measure, value=np.array([row["value"] for row in rows], np.float64),
+        metric=metric, unit_of_measure=rows[0]["unit_of_measure"],
+        value=np.array([row["value"] for row in rows], np.float64),
         uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
         t_ns=np.array([_moment(row) for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],

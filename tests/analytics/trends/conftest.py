@@ -42,7 +42,8 @@ def reported(store: Store) -> Iterator[Reported]:
             values.append(
                 {
                     "metric": row.get("metric", "bias"), "unit": row["unit"], "signal": step["signal"], "run": run,
-                    "value": row.get("value"), "unit_of_measure": "deg/h", "standard_uncertainty": 0.01, "n": 100,
+                    "value": row.get("value"), "unit_of_measure": row.get("measure", "deg/h"),
+                    "standard_uncertainty": 0.01, "n": 100,
                     "parameters": json.dumps(row.get("parameters", {})), "runs": [run], "steps": [step["index"]],
                     "standard": row.get("standard", "JJF2014"), "clause": "7", "reason": row.get("reason"),
                 }

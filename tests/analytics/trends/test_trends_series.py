@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analytics.trends.report import sentences
-from analytics.trends.series import Choice, read_series
+from analytics.trends.series import Choice, every_series, read_series
 from analytics.trends.trend import trend_of
 from stream.errors import BadInput, NotFound
 from tests.analytics.trends.reported_values import HOUR_NS, START_NS, Reported
@@ -88,6 +88,18 @@ def test_temperatures_are_kinds_but_their_scatter_is_not(reported: Reported) -> 
     assert dict(series.variant.parameters) == {"room": "True", "temperature": "25"}
     assert len(series.others) == 2
     assert series.value.size == 20
+
+
+def test_values_of_another_unit_of_measure_are_a_series_of_their_own_and_named(reported: Reported) -> None:
+    measures = ["V/(deg/s)"] * 9 + ["1"] * 4
+    rows = [{"unit": f"U{at}", "value": 1.0 + at % 3, "measure": measure} for at, measure in enumerate(measures)]
+    catalog = reported([*rows, {"unit": "N", "value": None, "reason": "why"}])
+    shown, other = every_series(catalog, "bias")
+    assert (shown.unit_of_measure, shown.value.size, shown.without_value) == ("V/(deg/s)", 9, 1)
+    assert (other.unit_of_measure, other.value.size) == ("1", 4)
+    (said,) = [each for each in sentences(trend_of(shown)) if "left out" in each.en]
+    assert said.en.startswith("Values in 1 are left out, 4 of them")
+    assert said.zh.startswith("单位为 1 的 4 个值未计入")
 
 
 def test_choices(reported: Reported) -> None:
