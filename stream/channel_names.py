@@ -11,10 +11,9 @@ STANDARD_CHANNELS = (
 )
 """Channels of other names take part under their own."""
 _SENSOR_WORDS = "rate|gyro|gyr|omega|velocity|vel|spin|turn|acc|accel|acceleration|force"
-_HAN = "\u4e00-\u9fff"
-_LETTER_APART = re.compile(rf"(?:^|[_{_HAN}])([xyz])(?=[_{_HAN}]|$)")
+_LETTER_APART = re.compile(r"(?:^|[^a-z0-9])([xyz])(?=[^a-z0-9]|$)")
 _LETTER_JOINED = re.compile(
-    rf"(?:(?:{_SENSOR_WORDS}|^w|_w)([xyz])(?=[_{_HAN}]|$))|(?:(?:^|[_{_HAN}])([xyz])(?={_SENSOR_WORDS}))"
+    rf"(?:(?:{_SENSOR_WORDS}|^w|_w)([xyz])(?=[^a-z0-9]|$))|(?:(?:^|[^a-z0-9])([xyz])(?={_SENSOR_WORDS}))"
 )
 
 
@@ -23,8 +22,8 @@ def signal_axis(signal: str) -> str | None:
 
     >>> [signal_axis(name) for name in ("rate_x", "angularratey", "gyro_z_filtered", "xrate", "rate", "temperature")]
     ['x', 'y', 'z', 'x', None, None]
-    >>> [signal_axis(name) for name in ("X陀螺", "Y轴角速率", "角速率Z", "陀螺输出X轴", "陀螺输出")]
-    ['x', 'y', 'z', 'x', None]
+    >>> [signal_axis(name) for name in ("X陀螺", "Y轴角速率", "角速率Z", "陀螺(X)", "ジャイロY軸", "陀螺输出")]
+    ['x', 'y', 'z', 'x', 'y', None]
     """
     name = signal.lower()
     found = {letter for match in _LETTER_APART.finditer(name) for letter in match.groups()}

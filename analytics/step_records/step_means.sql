@@ -38,10 +38,10 @@ with step as (
 ), own as (
   select run, unit, t_from_ns, t_to_ns,
     coalesce(min(deg_c(mean, unit_of_measure)) filter (signal = 'temperature'),
-      min(deg_c(mean, unit_of_measure)) filter (signal = '陀螺温度'),
+      min(deg_c(mean, unit_of_measure)) filter (signal in ('陀螺温度', '陀螺仪温度')),
       min(deg_c(mean, unit_of_measure)) filter (signal in ('产品温度', '温度'))) as temperature,
     min(deg_c(mean, unit_of_measure)) filter (signal = 'chamber_temperature') as chamber_temperature,
-    coalesce(max(moved_deg_c) filter (signal = 'temperature'), max(moved_deg_c) filter (signal = '陀螺温度'),
+    coalesce(max(moved_deg_c) filter (signal = 'temperature'), max(moved_deg_c) filter (signal in ('陀螺温度', '陀螺仪温度')),
       max(moved_deg_c) filter (signal in ('产品温度', '温度'))) as moved,
     max(moved_deg_c) filter (signal = 'chamber_temperature') as chamber_moved,
     min(if(unit_of_measure = 'deg/s', mean, deg_per_h(mean, unit_of_measure) / 3600)) filter (signal = 'table_rate')

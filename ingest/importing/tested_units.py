@@ -9,14 +9,15 @@ from stream.quantities import is_angular_rate
 
 # as the SQL macro `is_instrument_name` has it
 _INSTRUMENT = re.compile(
-    "^(table|input|chamber|command|set_?point|vibration|stage|platform|encoder|earth)"
+    "^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth|motor|spindle)"
     "|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$"
-    "|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)"
+    "|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速"
 )
 _OUTPUT = re.compile("^(rate|gyro|angle|output)")
 _NAMED = re.compile("^rate(_|$)|^gyro(_[xyz])?$|^(?i:angle_([xyz]|heading|yaw|azimuth|pitch|roll))$")
 _CHINESE = re.compile(  # as the SQL macro `is_output_name` has it
-    "(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?(陀螺仪?|角速[率度])(输出|信号|脉冲|计数)?_?([xyz][轴向]?|[0-9]+)?"
+    "(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?((光纤|激光)?陀螺仪?|角速[率度])"
+    "(输出(信号|脉冲|计数|电压)?|信号|脉冲|计数)?数?值?_?([xyz][轴向]?|[0-9]+)?"
 )
 _BESIDE = re.compile("temp|温度|suppl|供电|电流|current|acc|加速度|加计|加表|^time|status|状态|humid|湿度|press|气压")
 _COUNTS = frozenset({"count", "LSB", "count/s", "LSB/s"})
@@ -63,5 +64,7 @@ def no_output_warnings(signals: Sequence[SignalSummary]) -> list[str]:
 def _is_output(signal: SignalSummary) -> bool:
     """Whether metrics take a signal for the output of a gyro."""
     name = signal.signal
+    if is_instrument_name(name):
+        return False
     is_named = _NAMED.search(name) is not None or _CHINESE.fullmatch(name.lower()) is not None
     return is_named or is_angular_rate(signal.unit_of_measure)

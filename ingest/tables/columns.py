@@ -38,7 +38,7 @@ from stream.events import StepWords
 from stream.identity import check_name
 
 _STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
-_TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(?P<metrics>(陀螺|产品)?温度)")
+_TEMPERATURE = re.compile(r"(?i)t|temp|temperature?|gyro_?temp(erature)?|(?P<metrics>(陀螺仪?|产品)?温度)")
 _LARGE_SECONDS = re.compile("[MG]s(ec)?")  # megaseconds, where milliseconds are meant
 _S_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _MOST_PROBLEMS = 8  # in one error
@@ -136,7 +136,7 @@ def read_header(
     `blank` are names of columns without title and cells.
     """
     try:
-        _refuse_repeated("column", titles)
+        _refuse_repeated("column", [title for title in titles if title.strip()])
         reader = _HeaderReader(titles, options, stamps, durations or {}, unsuited or {}, first or {}, sample)
         reader.columns.blank.extend(blank)
         _add_all(reader, titles)

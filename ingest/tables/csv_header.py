@@ -67,11 +67,15 @@ def _first_row(texts: Sequence[str]) -> int:
 
     >>> _first_row(["Logger;7", "t;step", "0,0;rest", ";rest", "0,2;rest", "0,3;turn"])
     2
+    >>> _first_row(["Logger,7,", "t,rate,note", "0.0,1.5,begun", "0.1,1.6,"])
+    2
     """
     texts = texts[: _MOST_BEFORE_ROWS + _ALIKE]
-    if (first := next((at for at, text in enumerate(texts[:_MOST_BEFORE_ROWS]) if is_row(text)), None)) is not None:
-        return first
     kinds = [_kinds(text) for text in texts]
+    if (first := next((at for at, text in enumerate(texts[:_MOST_BEFORE_ROWS]) if is_row(text)), None)) is not None:
+        while first and _has_numbers_of(kinds[first], kinds[first - 1]):  # a row with a remark
+            first -= 1
+        return first
     for at in range(len(texts) - _ALIKE + 1):
         together = kinds[at : at + _ALIKE]
         if len({len(each) for each in together}) == 1:
@@ -79,6 +83,11 @@ def _first_row(texts: Sequence[str]) -> int:
             if all(len(each) <= 1 for each in columns) and {True} in columns and {False} in columns:
                 return at
     return 0
+
+
+def _has_numbers_of(row: Sequence[bool | None], line: Sequence[bool | None]) -> bool:
+    """Whether a line has numbers in all cells in which a row has them."""
+    return len(line) == len(row) > 0 and all(has for has, is_number in zip(line, row, strict=True) if is_number)
 
 
 def _kinds(text: str) -> tuple[bool | None, ...]:

@@ -40,7 +40,7 @@ _UNITS |= {
 _GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
 _MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
 _GERMAN_DEGREE = re.compile("[Gg]rad(?![a-z])")  # pint reads Grad as gigaradian, grad as gradian
-_MOST_RATE_DEG_PER_S = 1e5  # of a unit of measure: more is a prefix in the wrong case
+_MOST_OF_A_UNIT = 1e5  # deg/s, V or A: more is a prefix in the wrong case
 _PER_TIME = ("m/s", "m/s^2", "count/s", "K/s")
 _RAW = ("1", "count", "V", "A", "Hz")
 _AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
@@ -51,7 +51,7 @@ _EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
         ("deg/s", "deg/h", "rad/s"),
     ),
     (r"acc|accel|acceleration|(?:[xyz]轴?)?(?:加速度计?|加计|加表)(?:输出)?", "an acceleration", ("g_0", "m/s^2")),
-    (r"temp|temperature|.*温度", "a temperature", ("degC", "K")),
+    (r"temp|temperature|.*温度?", "a temperature", ("degC", "K")),
     (r"(?:supply_)?voltage|.*电压", "a voltage", ("V",)),
     (r"(?:supply_)?current|.*电流", "a current", ("A",)),
     (r"pressure", "a pressure", ("Pa", "hPa")),
@@ -155,32 +155,34 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
             f"unit {written!r} may be standard gravity or a mass; write {_GRAVITY[written]!r} for gravity, "
             f"{written.replace('g', 'gram')!r} for a mass"
         )
-    if plain in {"c", "f"} and re.match("temp", signal.lower()):
-        unit = "degC" if plain == "c" else "degF"
+    if (written == "度" or plain in {"c", "f"}) and re.match("temp|.*温", signal.lower()):
+        unit = "degF" if plain == "f" else "degC"
         return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
     unit = known_unit(written)
     if _GERMAN_DEGREE.match(written) and not is_temperature(unit):
         taken = f"{written} is taken as {unit} (German Grad, a degree); write gon for gradians"
         return unit, "; ".join(filter(None, (_unexpected(unit, signal), taken)))
-    if is_angular_rate(unit) and (of_unit := result_factor(unit, "deg/s")) > _MOST_RATE_DEG_PER_S:
-        raise BadInput(
-            f"unit {written!r} is {of_unit:.3g} deg/s: M is mega and G is giga; write {written.lower()!r} if that is "
-            "meant, or another unit of angular rate"
-        )
+    for base in ("deg/s", "V", "A"):
+        if _converts(unit, base, result_factor) and (of_unit := result_factor(unit, base)) > _MOST_OF_A_UNIT:
+            raise BadInput(
+                f"unit {written!r} is {of_unit:.3g} {base}: M is mega and G is giga; write "
+                f"{written[0].lower() + written[1:]!r} if that is meant, or another unit"
+            )
     return unit, _unexpected(unit, signal)
 
 
 def known_unit(text: str) -> str:
     """A unit of measure as it is written, or as gyrofleet writes it if pint does not know that; else UnknownUnit.
 
-    >>> known_unit("deg/s"), known_unit("度/小时"), known_unit("dph"), known_unit("°/S"), known_unit("Grad C")
+    >>> known_unit("deg/s"), known_unit("度/小时"), known_unit("dph"), known_unit("°/S"), known_unit("deg C")
     ('deg/s', 'deg/h', 'deg/h', '°/s', 'degC')
     """
     written = text.strip()
     plain = _plain(written)
     if plain in {"deg/s", "deg/h"} and written[-1].isupper():  # to pint siemens and henry
         written = written.lower()
-    if _GERMAN_DEGREE.match(written) and plain in _UNITS:  # Grad C, where pint reads a degree by coulomb
+    is_apart = plain in {"degc", "degf"} and len(written.split()) > 1
+    if is_apart or (_GERMAN_DEGREE.match(written) and plain in _UNITS):  # deg C, where pint reads a degree by coulomb
         return _UNITS[plain]
     try:
         return check_unit(_GERMAN_DEGREE.sub("deg", written))

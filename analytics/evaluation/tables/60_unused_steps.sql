@@ -29,7 +29,8 @@ select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.
       || coalesce(', position ' || o.position, '')
       || coalesce(', phase ' || o.phase || case when lower(o.phase) in ('before', 'during', 'after') then ''
         else ' (a phase is before, during or after a shock or a vibration: give the column another name)' end, '')
-      || case when o.rate_command <> 0 then ', at a rate' else '' end
+      || case when o.rate_command <> 0 then ', at a rate'
+        when o.rate_command is null and is_scale_factor_procedure(o."procedure") then ', without a rate_command' else '' end
   end as reason
 from output o
 anti join rested r on o.is_output and r.unit = o.unit and r.run = o.run and r."index" = o."index"

@@ -10,9 +10,9 @@ create or replace macro named_axis_of(signal) as
     when regexp_matches(lower(signal), '(^|_)pitch(_|rate|$)|俯仰') then 'PITCH'
     when regexp_matches(lower(signal), '(^|_)roll(_|rate|$)|横滚|滚转') then 'ROLL'
     else nullif(upper(coalesce(
-      nullif(regexp_extract(lower(signal), '(^|[_\p{Han}])([xyz])([_\p{Han}]|$)', 2), ''),
-      nullif(regexp_extract(lower(signal), '(rate|gyro|gyr|omega|velocity|vel|spin|turn|angle|^w|_w)([xyz])([_\p{Han}]|$)', 2), ''),
-      nullif(regexp_extract(lower(signal), '(^|[_\p{Han}])([xyz])(rate|gyro|gyr|omega|velocity|vel|spin|turn|angle)', 2), '')
+      nullif(regexp_extract(lower(signal), '(^|[^a-z0-9])([xyz])([^a-z0-9]|$)', 2), ''),
+      nullif(regexp_extract(lower(signal), '(rate|gyro|gyr|omega|velocity|vel|spin|turn|angle|^w|_w)([xyz])([^a-z0-9]|$)', 2), ''),
+      nullif(regexp_extract(lower(signal), '(^|[^a-z0-9])([xyz])(rate|gyro|gyr|omega|velocity|vel|spin|turn|angle)', 2), '')
     )), '')
   end;
 
@@ -24,7 +24,8 @@ create or replace macro is_integrated_output(signal) as
 -- The IRA of a signal rate_x is X; that of a gyro with one axis is Z (JJF 2014-2022 figure 2: IRA is o'z'). Of several
 -- outputs whose names say no axis nobody knows which is which: null.
 create or replace macro body_axis_of(signal, is_only_output) as
-  coalesce(named_axis_of(signal), case when is_only_output and not regexp_matches(lower(signal), '[xyz]$') then 'Z' end);
+  coalesce(named_axis_of(signal),
+    case when is_only_output and not regexp_matches(lower(signal), '[xyz][0-9]*([^a-z0-9]|$)') then 'Z' end);
 
 create or replace macro no_body_axis() as
   'its axis is not known, so the Earth''s rate cannot be removed: name it gyro_x, or X轴陀螺';

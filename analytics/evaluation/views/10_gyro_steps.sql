@@ -1,15 +1,16 @@
 -- Steps of gyro outputs. `output_unit` is what scale factors are in: deg/s for all rates. A rate that is given or
 -- measured by another instrument is no gyro's output.
 create or replace macro is_instrument_name(signal) as
-  regexp_matches(lower(signal), '^(table|input|chamber|command|set_?point|vibration|stage|platform|encoder|earth)'
+  regexp_matches(lower(signal), '^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth'
+    '|motor|spindle)'
     '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$'
-    '|^(转台|台面|基准|参考|标准|指令|设定|给定|输入|温箱|地球)');
+    '|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速');
 
 create or replace macro is_output_name(signal) as
   (regexp_matches(signal, '^rate(_|$)|^gyro(_[xyz])?$') or is_integrated_output(signal)
     -- _CHINESE of ingest/importing/tested_units.py
-    or regexp_matches(lower(signal), '^(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?(陀螺仪?|角速[率度])(输出|信号|脉冲|计数)?'
-      '_?([xyz][轴向]?|[0-9]+)?$')) and not is_instrument_name(signal);
+    or regexp_matches(lower(signal), '^(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?((光纤|激光)?陀螺仪?|角速[率度])'
+      '(输出(信号|脉冲|计数|电压)?|信号|脉冲|计数)?数?值?_?([xyz][轴向]?|[0-9]+)?$')) and not is_instrument_name(signal);
 
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';

@@ -33,9 +33,21 @@ def biases(gyrofleet: Callable[..., Any]) -> dict[tuple[str, str], Any]:
 
 
 @pytest.mark.parametrize(
-    "pattern", ["{}陀螺", "{}轴角速率", "{}轴陀螺输出", "陀螺{}", "角速率{}", "陀螺输出{}轴", "gyro_{}", "陀螺_{}"]
+    "pattern",
+    [
+        "{}陀螺",
+        "{}轴角速率",
+        "{}轴陀螺输出",
+        "陀螺{}",
+        "角速率{}",
+        "陀螺输出{}轴",
+        "gyro_{}",
+        "陀螺_{}",
+        "陀螺({}轴)",
+        "{}ジャイロ",
+    ],
 )
-@pytest.mark.in_gate("{}陀螺", "陀螺{}")
+@pytest.mark.in_gate("{}陀螺", "陀螺{}", "陀螺({}轴)")
 def test_earths_rate_is_taken_off_the_axis_that_is_up(
     pattern: str, tmp_path: Path, gyrofleet: Callable[..., Any]
 ) -> None:
@@ -58,6 +70,14 @@ def test_an_axis_that_no_name_says_is_a_reason(tmp_path: Path, gyrofleet: Callab
     assert "name it gyro_x, or X轴" in found["天向陀螺", "removed"]["reason"]
 
 
+@pytest.mark.parametrize("name", ["陀螺(X)", "X轴陀螺"])
+def test_the_only_output_has_the_axis_of_its_name(name: str, tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    stored(gyrofleet, tmp_path / "r.csv", [name])
+    found = biases(gyrofleet)
+    assert [signal for signal, earth_rate in found if earth_rate == "removed"] == []
+    assert found[name, "none"]["value"] == pytest.approx(BIASES[0], abs=0.02)
+
+
 def test_the_only_output_is_of_z(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     stored(gyrofleet, tmp_path / "r.csv", ["陀螺输出"])
     assert biases(gyrofleet)["陀螺输出", "removed"]["value"] == pytest.approx(BIASES[0] - EARTH, abs=0.02)
@@ -69,6 +89,8 @@ def test_the_only_output_is_of_z(tmp_path: Path, gyrofleet: Callable[..., Any]) 
         (["rate", "rate_compensated", "rate_filtered"], True),
         (["gyro_1", "gyro_2"], False),
         (["rate_a", "rate_b"], False),
+        (["gyro_x1", "gyro_y1"], False),  # perhaps the axes, perhaps not
+        (["Gx_raw"], False),
     ],
 )
 def test_forms_of_one_output_have_its_axis(

@@ -32,6 +32,36 @@ def test_g_is_gravity_in_columns_of_accelerations(tmp_path: Path, gyrofleet: Cal
     assert found == {"X加计": "g_0", "Y加速度": "g_0", "加速度计Z": "g_0", "X陀螺": "deg/h"}
 
 
+def test_temperatures_in_du_and_units_in_words(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    titles = "时间(s),箱温(度),Temp (deg C),温度(C),陀螺输出电压(毫伏),光纤陀螺X(弧度每秒),转速(转每分)"
+    file = imported(gyrofleet, tmp_path / "r.csv", titles, "{at},25,25,25,{v},{v},{v}")
+    found = {each["signal"]: each["unit_of_measure"] for each in file["signals"]}
+    assert found == {
+        "箱温": "degC", "Temp": "degC", "温度": "degC", "陀螺输出电压": "mV", "光纤陀螺X": "rad/s", "转速": "rpm",
+    }  # fmt: skip
+
+
+def test_a_prefix_in_the_wrong_case_is_refused(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    (tmp_path / "r.csv").write_text("time[s],陀螺输出(MV)\n0,1\n1,2\n", encoding="utf-8")
+    done = gyrofleet("import", "r.csv", "--unit", "U", "--store", "S")
+    assert done.code != 0
+    assert "unit 'MV' is 1e+06 V: M is mega and G is giga; write 'mV'" in done.err
+
+
+def test_speeds_of_motors_and_tables_are_no_outputs(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    step = ("--procedure", "static_bias", "--position", "IRA_up", "--latitude", "39.9")
+    titles = "时间(s),电机转速(转/分),内框角速率(°/s),信号甲(V)"
+    file = imported(gyrofleet, tmp_path / "r.csv", titles, "{at},3000,{v},{v}", *step)
+    assert any("no signal is taken for the output of a gyro: if 信号甲 is one" in each for each in file["remarks"])
+    assert gyrofleet("metrics", "--metric", "bias", "--store", "S", "--json").json == []
+
+
+def test_a_scale_factor_without_rates_is_named(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    imported(gyrofleet, tmp_path / "r.csv", "时间(s),陀螺输出(V)", "{at},{v}", "--procedure", "scale_factor")
+    told = gyrofleet("metrics", "--store", "S", "--lang", "zh").err
+    assert "程序 scale_factor 的步骤没有 rate_command（指令角速率），不用于任何特性" in told
+
+
 def test_an_output_and_a_temperature_by_their_chinese_names(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     step = ("--procedure", "static_bias", "--position", "IRA_up", "--latitude", "39.9")
     imported(gyrofleet, tmp_path / "r.csv", "时间(s),陀螺输出[V],陀螺温度(℃)", "{at},{v},25.5", *step)

@@ -184,6 +184,21 @@ def test_titles_get_proposals_that_work(
     assert done.code == 0, done.err
 
 
+def test_a_remark_in_the_first_row(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    rows = "".join(f"{at + 1},{at},0.{at},{'' if at else '开始'}\n" for at in range(9))
+    text = f"静态测试记录,,,\n产品,FOG,,\n序号,时间,X轴陀螺,备注\n,s,°/h,\n{rows}"
+    signals, remarks = imported(gyrofleet, tmp_path / "甲.csv", text)
+    assert signals["X轴陀螺"]["unit_of_measure"] == "°/h"
+    assert "2 lines before the header left out" in remarks
+
+
+def test_titles_that_excel_merged_are_named_by_their_place(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    text = "时间(s),陀螺(°/h),,\n" + "".join(f"{at},0.1,0.2,0.3\n" for at in range(9))
+    held = refusal(gyrofleet, tmp_path / "甲.csv", text)
+    assert "column 3 has no title" in held
+    assert "column 4 has no title" in held
+
+
 def test_numbers_in_full_width_characters_are_read(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     text = "时间（ｓ）,陀螺输出（°／ｈ）,电压(V)\n０,－０．５,−1.5\n１,０．５,1.5\n２,０．６,−2.5\n"
     signals, remarks = imported(gyrofleet, tmp_path / "甲.csv", text)
