@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -13,9 +14,11 @@ from stream.defects.outliers import is_motion, isolated_at
 from stream.defects.repeats import repeated_share
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectrum.spectral_lines import Spectrum
+from stream.estimators.spectrum.spectral_lines import BAND_SUM, Spectrum, WelchAverage, welch_edf
 
 SHORT_GAP = 3  # samples that are bridged by a straight line
+_BLOCKS = 16  # of a segment
+_STEADY = 0.95  # share of the degrees of freedom from which on noise is steady
 
 
 def runs_of(batches: Iterable[SampleBatch], tracker: GridTracker) -> Iterator[tuple[int, FloatArray]]:
@@ -137,13 +140,13 @@ def _bridged(values: FloatArray) -> FloatArray:
 
 
 class PreparedDensity(SpectralDensity):
-    """The spectral density of prepared samples, with the mean of every sixteenth of a segment."""
+    """The spectral density of prepared samples, with the mean and the noise of every sixteenth of a segment."""
 
     def __init__(self, segment_samples: int, confidence: float, preparation: Preparation) -> None:
         super().__init__(segment_samples, confidence)
         self.preparation = preparation
         preparation.restart()
-        self._sums: dict[int, tuple[float, int]] = {}
+        self._sums: dict[int, FloatArray] = {}  # by block: values, squares of their differences, and how many
 
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
         start, prepared = self.preparation.apply(first_slot, values)
@@ -152,15 +155,62 @@ class PreparedDensity(SpectralDensity):
             self._take_means(start, prepared)
 
     def _take_means(self, first_slot: int, values: FloatArray) -> None:
-        size = self.segment_samples // 16
+        size = self.segment_samples // _BLOCKS
         begins = np.r_[0, np.arange(size - first_slot % size, len(values), size)]
-        counts = np.diff(np.r_[begins, len(values)])
-        for begin, total, count in zip(
-            begins.tolist(), np.add.reduceat(values, begins).tolist(), counts.tolist(), strict=True
-        ):
+        with np.errstate(over="ignore"):  # values too large to be squared are refused with their density
+            squares = np.diff(values, prepend=values[0]) ** 2
+        parts = np.stack([values, squares, np.ones(len(values))])
+        for begin, sums in zip(begins.tolist(), np.add.reduceat(parts, begins, axis=1).T, strict=True):
             block = (first_slot + begin) // size
-            earlier = self._sums.get(block, (0.0, 0))
-            self._sums[block] = earlier[0] + total, earlier[1] + count
+            self._sums[block] = self._sums.get(block, np.zeros(3)) + sums
+
+    def _by_segment(self, of: int) -> FloatArray:
+        """Means of blocks, a row a segment: 0 of values, 1 of the squares of their differences; NaN where not whole."""
+        means = np.full(max(max(self._sums, default=-1) + 1, _BLOCKS), np.nan)
+        for block, sums in self._sums.items():
+            if sums[2] == self.segment_samples // _BLOCKS:
+                means[block] = sums[of] / sums[2]
+        return np.lib.stride_tricks.sliding_window_view(means, _BLOCKS)[:: _BLOCKS // 2]
+
+    def noise_share(self) -> float:
+        """Share of the degrees of freedom that noise as it was has of those of steady noise.
+
+        Periodograms i and j of noise of the variance v(t) have the covariance (sum w_i w_j v)**2, hence
+
+            edf = 2 (sum_i c_ii)**2 / sum_ij c_ij**2,    c_ij = sum w_i w_j v,
+
+        v from the mean squares of differences in blocks.
+        """
+        noise = self._by_segment(1)
+        whole = np.asarray(np.isfinite(noise).all(axis=1))
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(_BLOCKS) + 0.5) / _BLOCKS)
+        half = _BLOCKS // 2
+        own = noise[whole] @ window**2
+        shared = (noise[:-1, half:] @ (window[half:] * window[:half]))[whole[:-1] & whole[1:]]
+        squares = float((own**2).sum() + 2.0 * (shared**2).sum())
+        if not 0.0 < squares < np.inf:
+            return 1.0
+        return _share(2.0 * float(own.sum()) ** 2 / squares / welch_edf(len(own), len(shared)))
+
+    def band_share(self) -> float:
+        """Share of the degrees of freedom that a band of bins has under noise as it was of those of steady noise.
+
+        Bins m apart correlate by sum_i abs(sum w_i**2 v exp(-2 pi i m t/N))**2 over that of m = 0: noise of a short
+        time by more than under the window alone.
+        """
+        noise = self._by_segment(1)
+        noise = noise[np.isfinite(noise).all(axis=1)]
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(_BLOCKS) + 0.5) / _BLOCKS)
+        power = (np.abs(np.fft.rfft(noise * window**2, axis=1)) ** 2).sum(axis=0)
+        if not 0.0 < power[0] < np.inf:
+            return 1.0
+        return _share(BAND_SUM / (1.0 + 2.0 * float((power[1:-1] / power[0]).sum())))
+
+    def _average(self) -> WelchAverage | NoEstimate:
+        average = super()._average()
+        if isinstance(average, NoEstimate):
+            return average
+        return msgspec.structs.replace(average, noise_share=self.noise_share())
 
     @property
     def factor(self) -> float:
@@ -194,14 +244,8 @@ class PreparedDensity(SpectralDensity):
 
         What is left of slow changes within segments reaches the lowest bins by it.
         """
-        size, blocks = self.segment_samples, 16
-        means = np.full(max(self._sums, default=-1) + 1, np.nan)
-        for block, (total, count) in self._sums.items():
-            if count == size // blocks:
-                means[block] = total / count
-        if len(means) < blocks:
-            return np.zeros(size // 2 + 1)
-        segments = np.lib.stride_tricks.sliding_window_view(means, blocks)[:: blocks // 2]
+        size, blocks = self.segment_samples, _BLOCKS
+        segments = self._by_segment(0)
         segments = segments[np.isfinite(segments).all(axis=1)]
         middles = (np.arange(blocks) + 0.5) / blocks - 0.5
         basis, upper = np.linalg.qr(np.vander(middles, 4, increasing=True))
@@ -211,6 +255,11 @@ class PreparedDensity(SpectralDensity):
         parts = segments @ basis[:, 1:]
         power = _mean_power(shapes, parts) if len(parts) else np.zeros(size // 2 + 1)
         return np.asarray(self.scale / (0.375 * size) * power, np.float64)
+
+
+def _share(found: float) -> float:
+    """A share, where it is more than the scatter of steady noise."""
+    return found if found < _STEADY else 1.0
 
 
 def _mean_power(shapes: npt.NDArray[np.complex128], parts: FloatArray) -> FloatArray:

@@ -83,6 +83,8 @@ class SignalSpectrum:
     bridged: int = 0  # missing samples in short gaps, and by how much the density is corrected for bridging them
     bridging_correction: float = 0.0
     repeated: float = 0.0  # least share of samples that repeat the one before
+    noise_share: float = 1.0  # of the degrees of freedom of steady noise, that the record has
+    band_edf: float = math.inf  # degrees of freedom of a bin among others of a band, where fewer than `edf`
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -122,7 +124,7 @@ class SignalSpectrum:
             if len(kept) == 0:
                 continue
             value = float(psd[kept].mean())
-            lo, hi = deviation_bounds(1.0, self.edf * independent_bins(len(kept)), self.confidence)
+            lo, hi = deviation_bounds(1.0, min(self.edf, self.band_edf) * independent_bins(len(kept)), self.confidence)
             middle_hz = float(np.exp(np.log(frequency_hz[kept]).mean()))
             found.append(Level(middle_hz, value, value * lo**2, value * hi**2))
         return found
@@ -229,8 +231,9 @@ def _result(
     clear = _clear_of(judged, spectrum.frequency_hz)
     first = first_clear(spectral.slow_part(), spectrum)
     clear[:first] = False
+    band_edf = spectrum.edf * spectral.band_share()
     humps, narrow_hz = search_humps(
-        spectrum, clear, (lo_hz, hi_hz), sample_interval_s=spectral.sample_interval_s,
+        spectrum, clear, (lo_hz, hi_hz), band_edf=band_edf, sample_interval_s=spectral.sample_interval_s,
         false_alarm_probability=FALSE_ALARM_PROBABILITY,
     )  # fmt: skip
     return SignalSpectrum(
@@ -246,6 +249,7 @@ def _result(
         slow_below_hz=0.5 / (preparation.slow.spacing * spectral.sample_interval_s), outliers=preparation.outliers,
         largest_outlier=preparation.largest_outlier, bridged=preparation.bridged,
         bridging_correction=spectral.bridging_correction(), repeated=preparation.repeated,
+        noise_share=spectral.noise_share(), band_edf=band_edf,
     )  # fmt: skip
 
 

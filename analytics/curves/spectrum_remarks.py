@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 LEAST_APART_BINS = 6  # of two lines that are both found: at 5 bins of one with a third of the amplitude in 3 of 20
 _LEAST_LEFT_OUT = 0.1  # of the segments
+_STEADY_NOISE = 0.7  # share of the degrees of freedom
 _SLOW_BINS = 4  # which sidelobes of slow noise may reach
 
 
@@ -46,6 +47,13 @@ def _of_samples(found: "SignalSpectrum") -> Iterator[tuple[str, str]]:
         )
         zh = f"{count} 个缺失采样（含离群值，间断不超过 3 个采样）已线性内插；功率谱密度已据此修正，修正比例至多 {most}"
         yield en, zh
+    if found.noise_share < _STEADY_NOISE:
+        share = f"{found.noise_share:.0%}"
+        en = (
+            f"the noise or a strong line is not the same all the time: a bin has {share} of the degrees of freedom of "
+            "steady noise, which limits and tests for lines and humps take into account"
+        )
+        yield en, f"噪声或强谱线随时间变化：每个频点的自由度为恒定噪声时的 {share}；界限及谱线、凸起的检验已计入此影响"
     segments, left_out = found.segments + found.segments_left_out, found.segments_left_out
     if left_out > _LEAST_LEFT_OUT * segments:
         share = f"{left_out / segments:.0%}"

@@ -69,6 +69,7 @@ def judge_lines(
     if not lines:
         return ()
     density = np.concatenate([np.zeros(FIRST_BIN), spectrum.density])
+    smooth = smoothed(density)
     width_hz = float(spectrum.frequency_hz[0]) / FIRST_BIN
     peaks = [_peak(density, line.frequency_hz / width_hz) for line in lines]
     backgrounds = np.array([density[k] / line.background_ratio for k, line in zip(peaks, lines, strict=True)])
@@ -82,7 +83,7 @@ def judge_lines(
     judged = []
     for i, line in enumerate(lines):
         if i not in bands:
-            reach = _reach(line.amplitude**2 / (0.75 * backgrounds[i] * width_hz)) * width_hz
+            reach = reach_of(line.amplitude**2 / (0.75 * width_hz), smooth, peaks[i], peaks[i]) * width_hz
             judged.append(
                 RecordedLine(
                     **msgspec.structs.asdict(line), is_steady=steady[i], reach_lo_hz=line.frequency_hz - reach,
@@ -147,18 +148,26 @@ def _others(i: int, base: Baseband, frequencies: FloatArray, phasors: ComplexArr
     return np.asarray(np.exp(2j * np.pi * np.outer(slots, offsets)) @ (strengths * base.response(offsets)))
 
 
-def _reach(power: float) -> int:
-    """Bins from a line of so many times the background (over the window's response) where its sidelobes matter.
+def smoothed(density: FloatArray) -> FloatArray:
+    """Medians of nine bins."""
+    padded = np.pad(density, GUARD_BINS, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * GUARD_BINS + 1), axis=1)
 
-    k bins away the response of the Hann window is at most 1/(2 pi k (k**2 - 1)).
 
-    >>> _reach(100.0), _reach(1e7)
+def reach_of(power: float, smooth: FloatArray, first: int, last: int) -> int:
+    """Bins beside a line where its sidelobes matter; `power` is its density over the square of the window's response.
+
+    k bins away that response of the Hann window is at most 1/(2 pi k (k**2 - 1)). The density there is what counts:
+    bins near a strong line have no other than its sidelobes.
+
+    >>> reach_of(100.0, np.ones(100), 50, 50), reach_of(1e7, np.ones(100), 50, 50)
     (4, 18)
     """
-    k = GUARD_BINS
-    while power / (2.0 * math.pi * k * (k * k - 1.0)) ** 2 > _SIDELOBES:
-        k += 1
-    return k
+    k = np.arange(GUARD_BINS, len(smooth), dtype=np.float64)
+    sidelobes = power / (2.0 * np.pi * k * (k * k - 1.0)) ** 2
+    left, right = np.maximum(first - k, FIRST_BIN), np.minimum(last + k, len(smooth) - 1)
+    beside = np.minimum(smooth[left.astype(np.int64)], smooth[right.astype(np.int64)])
+    return GUARD_BINS + int(np.flatnonzero(sidelobes > _SIDELOBES * beside).max(initial=-1)) + 1
 
 
 def _band(density: FloatArray, peak: int, background: float, edf: float) -> _Band:
@@ -219,7 +228,8 @@ def _moving(
         math.sqrt(2.0 * band.background * width_hz * max(each, 0.0)) if math.isfinite(each) else math.nan
         for each in (power - half, power, power + half)
     )
-    reach = _reach(power / 0.375 if power > 0.0 else 0.0)
+    strength = power / 0.375 * band.background if power > 0.0 else 0.0
+    reach = reach_of(strength, smoothed(density), band.first, band.last)
     return RecordedLine(
         frequency_hz=centre * width_hz, frequency_lo_hz=float(span[0]) * width_hz,
         frequency_hi_hz=float(span[1]) * width_hz, amplitude=line.amplitude if math.isnan(middle) else middle,

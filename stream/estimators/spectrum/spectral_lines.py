@@ -16,7 +16,7 @@ REACH_BINS = GUARD_BINS + FLANK_BINS
 WINDOW_CORRELATION = 1.0 / 6.0
 _FIT_BINS = 2
 _FIT_STEPS = 25
-_MEDIAN_CORRELATION = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0)
+BAND_SUM = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0)  # bins of a band to one that is independent
 _LEAST_DENSITY = 1e-250
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
@@ -64,11 +64,12 @@ class WelchAverage(msgspec.Struct, frozen=True, kw_only=True):
     bin_width_hz: float
     segments: int
     pairs: int
+    noise_share: float = 1.0  # of the degrees of freedom, where the noise is not the same all the time
 
     @property
     def edf(self) -> float:
         """Equivalent degrees of freedom of a bin, `welch_edf`."""
-        return welch_edf(self.segments, self.pairs)
+        return max(2.0, welch_edf(self.segments, self.pairs) * self.noise_share)
 
 
 def welch_edf(segments: int, pairs: int) -> float:
@@ -141,7 +142,7 @@ def background_edf(edf: float) -> float:
     median = median_ratio(edf)
     exponent = shape * math.log(shape * median) - shape * median - float(scipy.special.gammaln(shape))
     slope = math.exp(exponent)
-    variance = _MEDIAN_CORRELATION / (4.0 * 2.0 * FLANK_BINS * slope**2)
+    variance = BAND_SUM / (4.0 * 2.0 * FLANK_BINS * slope**2)
     return 2.0 / variance
 
 

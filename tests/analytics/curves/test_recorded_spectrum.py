@@ -188,3 +188,47 @@ def test_noise_shows_a_line_or_a_hump_no_more_often_than_promised(kind: str) -> 
     most = stats.binom.ppf(0.999, records, 0.01)
     assert max(lines, humps) <= most
     assert named <= most
+
+
+def burst(_: FloatArray) -> FloatArray:
+    """Ten times the noise for a twentieth of the record, as when somebody touches the table."""
+    return np.where((T_S > 150.0) & (T_S < 165.0), 10.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "course", [burst, lambda t: np.where(t > 150.0, 5.0, 1.0), lambda t: np.where(t > 200.0, 1.0, 0.01)]
+)
+@pytest.mark.parametrize("trials", [3, pytest.param(60, marks=pytest.mark.long)])
+def test_noise_that_changes_makes_no_lines_and_no_humps(
+    course: Callable[[FloatArray], FloatArray], trials: int
+) -> None:
+    rng, sigmas = np.random.default_rng(73), course(T_S)
+    amplitude = 0.1 * SIGMA * float(np.sqrt((sigmas**2).mean()))
+    false, missed = 0, 0
+    for _ in range(trials):
+        values = noise(rng) * sigmas
+        found = spectrum(values)
+        false += bool(found.lines) + bool(found.humps)
+        assert "is not the same all the time" in english(found)
+        of_line = spectrum(values + amplitude * np.sin(2.0 * np.pi * 50.0 * T_S))
+        missed += not any(line.amplitude_lo <= amplitude <= line.amplitude_hi for line in of_line.lines)
+    # each record may show a false line with 1 % and a false hump with 1 %, and limits miss 5 %
+    assert false <= stats.binom.ppf(0.9999, 2 * trials, 0.01)
+    assert missed <= stats.binom.ppf(0.9999, trials, 0.05)
+
+
+@pytest.mark.parametrize("amplitude", [1e4, 1e6])
+def test_sidelobes_of_a_very_strong_line_are_no_hump(amplitude: float) -> None:
+    rng = np.random.default_rng(74)
+    found = spectrum(noise(rng) + SIGMA * amplitude * np.sin(2.0 * np.pi * 24.6912 * T_S))
+    assert found.humps == ()
+    (line,) = found.lines
+    assert line.amplitude_lo <= SIGMA * amplitude <= line.amplitude_hi
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 30.0])
+def test_a_line_at_the_nyquist_frequency_is_a_narrow_peak_and_no_hump(amplitude: float) -> None:
+    rng = np.random.default_rng(75)
+    found = spectrum(noise(rng) + SIGMA * amplitude * np.where(np.arange(N) % 2, 1.0, -1.0))
+    assert (found.lines, found.humps) == ((), ())
+    assert "near 100 Hz there is a peak as narrow as a line where none can be tested" in english(found)
