@@ -10,7 +10,7 @@ import numpy.typing as npt
 from analytics.curves.slow_change import SlowChange
 from stream.batch import FloatArray, SampleBatch
 from stream.clock import GridTracker, contiguous_runs
-from stream.defects.outliers import is_motion, isolated_at
+from stream.defects.outliers import is_motion, isolated_at, piled_share
 from stream.defects.repeats import repeated_share
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
@@ -42,6 +42,7 @@ class Preparation:
         self.outliers, self.largest_outlier = 0, 0.0
         self.short_gaps = 0  # missing samples in gaps of up to 3, outliers included
         self.repeated = 0.0
+        self.piled, self.piled_at = 0.0, 0.0  # samples at one value or two, and that value
         self.slots = 0
         # density that bridging adds, times the sample interval: mean square error of a value between its neighbours
         self._added = 0.0
@@ -68,6 +69,9 @@ class Preparation:
             end = first_slot + int(finite[-1]) + 1
             value = kept[finite]
             repeated += repeated_share(value) * value.size
+            share, at = piled_share(value) if _may_be_piled(value) else (0.0, 0.0)
+            if share > 0.0:
+                self.piled, self.piled_at = self.piled + share * value.size, at
             between = value[2:-2] - 0.5 * np.stack([value[1:-3] + value[3:-1], value[:-4] + value[4:]])
             if between.size:
                 with np.errstate(over="ignore"):  # values too large to be squared are refused with their density
@@ -255,6 +259,11 @@ class PreparedDensity(SpectralDensity):
         parts = segments @ basis[:, 1:]
         power = _mean_power(shapes, parts) if len(parts) else np.zeros(size // 2 + 1)
         return np.asarray(self.scale / (0.375 * size) * power, np.float64)
+
+
+def _may_be_piled(values: FloatArray) -> bool:
+    """Whether one of a hundred values is the greatest, the least, or 0, without a look at each."""
+    return any(100 * int((values == at).sum()) >= values.size for at in (values.max(), values.min(), 0.0))
 
 
 def _share(found: float) -> float:

@@ -83,6 +83,8 @@ class SignalSpectrum:
     bridged: int = 0  # missing samples in short gaps, and by how much the density is corrected for bridging them
     bridging_correction: float = 0.0
     repeated: float = 0.0  # least share of samples that repeat the one before
+    piled: int = 0  # samples at one value or two, and that value
+    piled_at: float = 0.0
     noise_share: float = 1.0  # of the degrees of freedom of steady noise, that the record has
     band_edf: float = math.inf  # degrees of freedom of a bin among others of a band, where fewer than `edf`
 
@@ -249,6 +251,7 @@ def _result(
         slow_below_hz=0.5 / (preparation.slow.spacing * spectral.sample_interval_s), outliers=preparation.outliers,
         largest_outlier=preparation.largest_outlier, bridged=preparation.bridged,
         bridging_correction=spectral.bridging_correction(), repeated=preparation.repeated,
+        piled=round(preparation.piled), piled_at=preparation.piled_at * spectral.factor,
         noise_share=spectral.noise_share(), band_edf=band_edf,
     )  # fmt: skip
 

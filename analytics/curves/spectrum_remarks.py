@@ -12,13 +12,14 @@ if TYPE_CHECKING:
 LEAST_APART_BINS = 6  # of two lines that are both found: at 5 bins of one with a third of the amplitude in 3 of 20
 _LEAST_LEFT_OUT = 0.1  # of the segments
 _STEADY_NOISE = 0.7  # share of the degrees of freedom
+_WIDE_HUMP = 4.0
 _SLOW_BINS = 4  # which sidelobes of slow noise may reach
 
 
 def remarks_on(found: "SignalSpectrum") -> list[tuple[str, str]]:
     """All remarks: on the samples, on lines, on slow changes."""
     still = remark_on_stillness(found.longest_still, found.samples)
-    parts = (_of_samples(found), _of_lines(found), _of_slow_changes(found))
+    parts = (_of_samples(found), _of_lines(found), _of_wide_humps(found), _of_slow_changes(found))
     return [*([still] if still else []), *((en, zh) for part in parts for en, zh in part)]
 
 
@@ -33,6 +34,18 @@ def _of_samples(found: "SignalSpectrum") -> Iterator[tuple[str, str]]:
         zh = (
             f"至少 {share} 的采样与前一采样完全相同，分辨率与噪声不能解释：如记录快于陀螺输出，或丢失的采样以上一值填充"
             "；高于陀螺自身速率一半的谱线为镜像，凸起可能由重复采样造成"
+        )
+        yield en, zh
+    if found.piled:
+        at = f"{found.piled_at:.4g} {found.unit_of_measure}"
+        en = (
+            f"about {found.piled:,} of {found.samples:,} samples are at one value or two, as at {at}: clipped at an "
+            "end of the range, or lost samples written as it; lines at multiples of another, and part of the "
+            "noise, may be of that"
+        )
+        zh = (
+            f"{found.samples:,} 个采样中约有 {found.piled:,} 个集中于一两个数值（如 {at}）：输出在量程端被限幅，"
+            "或丢失的采样以该值填充；倍频谱线和部分噪声可能由此产生"
         )
         yield en, zh
     if found.outliers:
@@ -94,6 +107,21 @@ def _of_lines(found: "SignalSpectrum") -> Iterator[tuple[str, str]]:
         zh = (
             f"{where} Hz 附近有与谱线同样窄的峰，但该处无法检验：谱线搜索范围为 {band[0]} 至 {band[1]} Hz；"
             "更长的记录可达更低频率"
+        )
+        yield en, zh
+
+
+def _of_wide_humps(found: "SignalSpectrum") -> Iterator[tuple[str, str]]:
+    wide = [each for each in found.humps if each.frequency_hi_hz > _WIDE_HUMP * each.frequency_lo_hz]
+    if wide:
+        where = ", ".join(f"{each.frequency_lo_hz:.3g} .. {each.frequency_hi_hz:.3g}" for each in wide)
+        en = (
+            f"the hump of {where} Hz is wider than two octaves: no sum of power laws describes the density there, as "
+            "where an output filter lowers it beyond the band; it need not be noise in excess"
+        )
+        zh = (
+            f"{where} Hz 的凸起宽于两个倍频程：幂律之和不能描述该处的功率谱密度，如输出滤波器使频带以外的密度下降；"
+            "不一定是多余的噪声"
         )
         yield en, zh
 

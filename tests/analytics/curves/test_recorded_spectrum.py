@@ -5,7 +5,7 @@ from uuid import UUID
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from analytics.curves.spectrum import SignalSpectrum, spectrum_from
 from storage.sql.reading import SignalRecord
@@ -232,3 +232,14 @@ def test_a_line_at_the_nyquist_frequency_is_a_narrow_peak_and_no_hump(amplitude:
     found = spectrum(noise(rng) + SIGMA * amplitude * np.where(np.arange(N) % 2, 1.0, -1.0))
     assert (found.lines, found.humps) == ((), ())
     assert "near 100 Hz there is a peak as narrow as a line where none can be tested" in english(found)
+
+
+def test_a_clipped_output_and_an_output_filter_are_named() -> None:
+    rng = np.random.default_rng(76)
+    clipped = spectrum(np.clip(noise(rng) + 3.0 * SIGMA * np.sin(2.0 * np.pi * 5.0 * T_S), -2.0 * SIGMA, 2.0 * SIGMA))
+    assert "samples are at one value or two" in english(clipped)
+    filtered = spectrum(np.asarray(signal.lfilter(*signal.butter(4, 0.3), noise(rng)), np.float64))
+    assert "is wider than two octaves" in english(filtered)
+    plain = english(spectrum(noise(rng)))
+    assert "octaves" not in plain
+    assert "one value" not in plain
