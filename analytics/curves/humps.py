@@ -18,6 +18,7 @@ _CELLS_AN_OCTAVE = 6
 _WIDEST = 12
 _MOST_HUMPS = 8
 _POWERS = (-2, -1, 0, 1, 2)
+_IMAGES = np.arange(-10.0, 11.0)  # of flicker above the Nyquist frequency
 _ROUNDS = 8
 # correlation of the densities one and two bins apart under the Hann window
 _NEIGHBOURS = (4.0 / 9.0, 1.0 / 36.0)
@@ -56,11 +57,12 @@ def find_humps(
 
     The bins, of `edf` equivalent degrees of freedom each, increase and are without those of lines. The model is sum a_k
     s**k, s = sin(pi f sample_interval), k from -2 to 2 and a_k >= 0: for sampled quantization noise and random walk
-    this is exact. It is fitted to the means of cells of a sixth of an octave and 16 bins or more, weighted by their
-    degrees of freedom over the squared model. A band is any run of neighbouring cells, two octaves at most. D times its
-    mean ratio of density to model is compared with chi-square of D degrees of freedom, D the sum of its cells'; times
-    the number of bands (Bonferroni) that is the false-alarm probability, a bound since bands overlap and the fit
-    follows the data. The most significant band is left out of the next fit, until none is significant.
+    this is exact; so are two more terms for flicker and random walk that are averaged over the interval. It is fitted
+    to the means of cells of a sixth of an octave and 16 bins or more, weighted by their degrees of freedom over the
+    squared model. A band is any run of neighbouring cells, two octaves at most. D times its mean ratio of density to
+    model is compared with chi-square of D degrees of freedom, D the sum of its cells'; times the number of bands
+    (Bonferroni) that is the false-alarm probability, a bound since bands overlap and the fit follows the data. The most
+    significant band is left out of the next fit, until none is significant.
 
     >>> rng = np.random.default_rng(3)
     >>> f = np.arange(1, 2001) * 0.025
@@ -75,7 +77,10 @@ def find_humps(
     means = np.array([psd[first:last].mean() for first, last in cells])
     freedom = np.array([edf * independent_bins(last - first) for first, last in cells])
     sine = np.sin(np.pi * frequency_hz * sample_interval_s)
-    columns = np.array([[(sine[first:last] ** k).mean() for k in _POWERS] for first, last in cells])
+    turns = np.add.outer(_IMAGES, frequency_hz * sample_interval_s)
+    averaged = sine**2 * (np.abs(turns) ** -3.0).sum(axis=0), sine**-2.0 - 2.0 / 3.0
+    shapes = np.stack([*(sine**k for k in _POWERS), *averaged])
+    columns = np.array([shapes[:, first:last].mean(axis=1) for first, last in cells])
     bands = [band for band in itertools.combinations(range(len(cells) + 1), 2) if band[1] - band[0] <= _WIDEST]
     kept = np.ones(len(cells), np.bool_)
     found: list[tuple[int, int, float]] = []

@@ -243,3 +243,26 @@ def test_a_clipped_output_and_an_output_filter_are_named() -> None:
     plain = english(spectrum(noise(rng)))
     assert "octaves" not in plain
     assert "one value" not in plain
+
+
+def flicker(rng: np.random.Generator, n: int) -> FloatArray:
+    """Noise of a density of 1/f, without its lowest bins."""
+    bins = np.fft.rfft(rng.standard_normal(2 * n))
+    return np.asarray(np.fft.irfft(bins / np.sqrt(np.maximum(np.arange(bins.size), 1.0)))[:n], np.float64)
+
+
+def averaged(values: FloatArray) -> FloatArray:
+    return np.asarray(values.reshape(-1, 10).mean(axis=1), np.float64)
+
+
+@pytest.mark.parametrize("make", [
+    lambda rng: flicker(rng, N), lambda rng: averaged(flicker(rng, 10 * N)),
+    lambda rng: averaged(np.cumsum(rng.standard_normal(10 * N))),
+])  # fmt: skip
+@pytest.mark.parametrize("trials", [3, pytest.param(40, marks=pytest.mark.long)])
+def test_flicker_and_averaged_noises_are_no_humps(
+    make: Callable[[np.random.Generator], FloatArray], trials: int
+) -> None:
+    rng = np.random.default_rng(77)
+    false = sum(bool(spectrum(make(rng)).humps) for _ in range(trials))
+    assert false <= stats.binom.ppf(0.9999, trials, 0.01)
