@@ -203,7 +203,7 @@ def test_noise_that_changes_makes_no_lines_and_no_humps(
     course: Callable[[FloatArray], FloatArray], trials: int
 ) -> None:
     rng, sigmas = np.random.default_rng(73), course(T_S)
-    amplitude = 0.1 * SIGMA * float(np.sqrt((sigmas**2).mean()))
+    amplitude = 0.3 * SIGMA * float(np.sqrt((sigmas**2).mean()))
     false, missed = 0, 0
     for _ in range(trials):
         values = noise(rng) * sigmas
