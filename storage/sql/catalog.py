@@ -26,10 +26,10 @@ from storage.sql.parquet_content import ParquetContent
 from storage.sql.put_tables import PutTables
 from storage.sql.sandbox.guard import check_statement, one_statement, plain_message, refused
 from storage.sql.sandbox.moments import in_utc
-from storage.sql.views import VIEWS, defer_views, define_deferred_views, lists_views, reading_lake
+from storage.sql.views import VIEWS, defer_views, define_deferred_views, lists_views, reading_lake, unreadable_lake
 from storage.store import Store
 from stream.closing import Closing
-from stream.errors import QueryError
+from stream.errors import GyrofleetError, QueryError
 
 STORAGE_VERSION = "v1.0.0"  # version of the file format of a written catalogue: DuckDB from 1.0 reads it
 
@@ -303,7 +303,7 @@ class Catalog(Closing):
         try:
             return self._reading_cursor(sql).sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
-            raise _failed(error) from error
+            raise self._failed(error) from error
 
     def _reading_cursor(self, sql: str) -> duckdb.DuckDBPyConnection:
         """A cursor for one of the project's own statements, which reads."""
@@ -330,7 +330,7 @@ class Catalog(Closing):
             named = check_statement(self._connection, sql, {"adev", *of_layers})
         except QueryError as error:
             if isinstance(error.__cause__, duckdb.Error):
-                raise _failed(error.__cause__) from error
+                raise self._failed(error.__cause__) from error
             raise
         self._fill(sql)
         needs_layers = not named.isdisjoint(of_layers)
@@ -346,11 +346,11 @@ class Catalog(Closing):
         except (duckdb.BinderException, duckdb.CatalogException):
             self.define_views()  # then the message proposes what there is
         except duckdb.Error as error:
-            raise _failed(error) from error
+            raise self._failed(error) from error
         try:
             return self._user_rows(sql, parameters)
         except duckdb.Error as error:
-            raise _failed(error) from error
+            raise self._failed(error) from error
 
     def _user_rows(self, sql: str, parameters: object) -> pa.RecordBatchReader:
         cursor = self._prepared(sql)
@@ -382,7 +382,7 @@ class Catalog(Closing):
                 cursor.execute(f"create temporary table whole as {sql}", parameters)
                 return cursor.table("whole").to_arrow_table()
         except duckdb.Error as error:
-            raise _failed(error) from error
+            raise self._failed(error) from error
 
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
         """All rows of a statement's result."""
@@ -394,7 +394,14 @@ class Catalog(Closing):
             with self._reading_cursor(sql) as cursor:
                 return rows_of(cursor, sql, parameters)
         except (duckdb.Error, OSError) as error:
-            raise _failed(error) from error
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> GyrofleetError:
+        # DuckDB opens files after a table's first one here; an error of one that it does not name is of no subclass
+        is_of_file = isinstance(error, duckdb.IOException | duckdb.InvalidInputException)
+        if type(error) is duckdb.Error or (is_of_file and f"{self.source.root}/" in str(error)):
+            return unreadable_lake(self.store, error)
+        return _failed(error)
 
     def close(self) -> None:
         """Close the connection."""

@@ -76,10 +76,15 @@ def reading_lake(store: Store) -> Iterator[None]:
     try:
         yield
     except duckdb.Error as error:
-        raise StoreError(
-            f"the lake of {store.folder} cannot be read ({plain_message(error)}); `gyrofleet verify` lists the damage, "
-            f"`gyrofleet recover` rebuilds it from the log"
-        ) from error
+        raise unreadable_lake(store, error) from error
+
+
+def unreadable_lake(store: Store, error: Exception) -> StoreError:
+    """What says that the lake of a store is damaged, and the remedy."""
+    return StoreError(
+        f"the lake of {store.folder} cannot be read ({plain_message(error)}); `gyrofleet verify` lists the damage, "
+        f"`gyrofleet recover` rebuilds it from the log"
+    )
 
 
 def conversion_macros(units: Iterable[str]) -> str:

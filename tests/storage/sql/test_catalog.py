@@ -146,6 +146,18 @@ def test_a_statement_that_fails_on_its_way_is_reported(catalog: Catalog) -> None
     assert catalog.rows("select 1") == [(1,)]
 
 
+@pytest.mark.parametrize("damage", ["gone", "cut", "overwritten"])
+def test_a_file_that_is_broken_when_a_statement_reads_it_is_damage_of_the_lake(catalog: Catalog, damage: str) -> None:
+    path = catalog.store.lake / read_manifest(catalog.store).parts[-1].name / "events.parquet"
+    content = path.read_bytes()
+    broken = (
+        content[:-50] if damage == "cut" else content[:4] + b"x" * (len(content) // 2) + content[len(content) // 2 :]
+    )
+    path.unlink() if damage == "gone" else path.write_bytes(broken)
+    with pytest.raises(StoreError, match=r"cannot be read .*`gyrofleet recover`"):
+        catalog.rows("from runs")
+
+
 def test_a_damaged_lake_is_reported_and_made_anew_from_the_log(catalog: Catalog) -> None:
     store = catalog.store
     part = store.lake / read_manifest(store).parts[0].name
