@@ -10,7 +10,7 @@ from stream.quantities import is_angular_rate
 # as the SQL macro `is_instrument_name` has it
 _INSTRUMENT = re.compile(
     "^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth|motor|spindle)"
-    "|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$"
+    "|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth|[os])$"
     "|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速"
 )
 _OUTPUT = re.compile("^(rate|gyro|angle|output)")

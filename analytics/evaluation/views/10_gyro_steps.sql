@@ -3,7 +3,7 @@
 create or replace macro is_instrument_name(signal) as
   regexp_matches(lower(signal), '^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth'
     '|motor|spindle)'
-    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth)$'
+    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth|[os])$'
     '|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速');
 
 create or replace macro is_output_name(signal) as
@@ -15,9 +15,11 @@ create or replace macro is_output_name(signal) as
 create or replace macro no_scale_factor(unit_of_measure) as
   'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product';
 
--- The output that a signal is a form of: rate, rate_filtered and rate_compensated are one, gyro_1 and gyro_2 are two.
+-- The output that a signal is a form of: rate, rate_filtered and rate_compensated are one; gyro_1 and gyro_2, gyro_east
+-- and gyro_north are two.
 create or replace macro internal.output_of(signal) as
-  rtrim(regexp_extract(lower(signal), '^[^_]*(?:_(?:[0-9]+|[a-z])(?:_|$))?'), '_');
+  regexp_replace(lower(signal), '(_?(raw|filt|filtered|lpf|comp|compensated|corr|corrected|calibrated|smoothed?|mean'
+    '|averaged?|[0-9]+m?s|(原始|滤波|补偿|修正|校正|标定|平滑|平均)[值前后]?))+$', '');
 
 create or replace view internal.gyro_steps as
 select s.*, r.deg_per_h as rate_factor,

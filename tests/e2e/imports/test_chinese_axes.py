@@ -91,6 +91,9 @@ def test_the_only_output_is_of_z(tmp_path: Path, gyrofleet: Callable[..., Any]) 
         (["rate_a", "rate_b"], False),
         (["gyro_x1", "gyro_y1"], False),  # perhaps the axes, perhaps not
         (["Gx_raw"], False),
+        (["gyro_east", "gyro_north", "gyro_up"], False),
+        (["陀螺_东", "陀螺_北"], False),
+        (["陀螺输出", "陀螺输出_滤波后"], True),
     ],
 )
 def test_forms_of_one_output_have_its_axis(
@@ -100,3 +103,9 @@ def test_forms_of_one_output_have_its_axis(
     found = biases(gyrofleet)
     assert {row["value"] is not None for (_, earth_rate), row in found.items() if earth_rate == "removed"} == {is_one}
     assert len(found) == 2 * len(names)
+
+
+def test_rates_of_the_case_are_no_outputs(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    stored(gyrofleet, tmp_path / "r.csv", ["rate", "rate_o", "rate_s"])
+    assert biases(gyrofleet)["rate", "removed"]["value"] == pytest.approx(BIASES[0] - EARTH, abs=0.02)
+    assert {signal for signal, _ in biases(gyrofleet)} == {"rate"}
