@@ -102,11 +102,11 @@ def _of_lines(found: "SignalSpectrum") -> Iterator[tuple[str, str]]:
         band = f"{found.searched_lo_hz:.4g}", f"{found.searched_hi_hz:.4g}"
         en = (
             f"near {where} Hz there is a peak as narrow as a line where none can be tested: lines are searched from "
-            f"{band[0]} to {band[1]} Hz; a longer record reaches lower"
+            f"{band[0]} to {band[1]} Hz; a longer record widens that"
         )
         zh = (
             f"{where} Hz 附近有与谱线同样窄的峰，但该处无法检验：谱线搜索范围为 {band[0]} 至 {band[1]} Hz；"
-            "更长的记录可达更低频率"
+            "更长的记录搜索范围更宽"
         )
         yield en, zh
 

@@ -95,7 +95,9 @@ def judge_lines(
         if i == max(same, key=lambda j: lines[j].background_ratio):
             first, last = min(bands[j].first for j in same), max(bands[j].last for j in same)
             others = [k for j, k in enumerate(peaks) if j not in same]
-            judged.append(_moving(line, density, _Band(first, last, bands[i].background), others, spectrum, width_hz))
+            band = _Band(first, last, bands[i].background)
+            uneven = _unevenness(places, np.abs(means[:, i]) ** 2 - variance[i])
+            judged.append(_moving(line, density, band, others, spectrum, width_hz, uneven))
     return tuple(judged)
 
 
@@ -138,6 +140,29 @@ def _steadiness(
         chance = scipy.special.fdtrc(degrees / overlap, freedom, ratio)
         steady[i] = not (chance <= _ALPHA and ratio >= 1.0 + _LEAST_EXCESS)
     return steady
+
+
+def _unevenness(places: IntArray, powers: FloatArray) -> float:
+    """By how much the mean power of all blocks differs from that as the segments weigh them, relatively to the latter.
+
+    Windows give moments different weights, those at the ends of the record and beside gaps the least. Blocks too see
+    little of the ends: the shares of the first and the last are added.
+
+    >>> round(_unevenness(np.arange(15), np.where(np.arange(15) == 3, 1.0, 0.0)), 3)
+    0.4
+    """
+    within = np.arange(2 * BLOCKS_A_SEGMENT - 1)
+    there = np.zeros(int(places[-1]) + 1, np.bool_)
+    there[places] = True
+    segments = np.add.outer(np.arange(0, max(0, len(there) - len(within) + 1), BLOCKS_A_SEGMENT), within)
+    segments = segments[there[segments].all(axis=1)]
+    shares = np.tile(np.sin(np.pi * (within + 1) / (len(within) + 1)) ** 4, len(segments))
+    weights = np.bincount(segments.ravel(), shares, len(there))[places]
+    total, weighted = float(powers.sum()), float(weights @ powers)
+    if min(total, weighted) <= 0.0:
+        return 0.0
+    of_ends = float(np.clip(powers[[0, -1]], 0.0, None).sum()) / total
+    return abs(total * float(weights.mean()) / weighted - 1.0) + of_ends
 
 
 def _others(i: int, base: Baseband, frequencies: FloatArray, phasors: ComplexArray, slots: IntArray) -> ComplexArray:
@@ -199,14 +224,17 @@ def _end(above: np.ndarray[tuple[int], np.dtype[np.bool_]], peak: int, step: int
 
 
 def _moving(
-    line: SpectralLine, density: FloatArray, band: _Band, others: list[int], spectrum: Spectrum, width_hz: float
-) -> RecordedLine:
+    line: SpectralLine, density: FloatArray, band: _Band, others: list[int], spectrum: Spectrum, width_hz: float,
+    uneven: float,
+) -> RecordedLine:  # fmt: skip
     """Frequency and amplitude of a line that is not steady.
 
     The power is the sum over its band, 4 bins more on either side, less the background. Its variance is that of noise
     in m bins, of noise times line, and of the background:
 
         B**2 (1.94 m 2/edf + 2.67 (2/edf) 2 sum q + m**2 2/background_edf),    q the excess over B.
+
+    The limits are wider by the share `uneven` of the power (`_unevenness`).
     """
     first = max([FIRST_BIN, band.first - GUARD_BINS, *(k + GUARD_BINS + 1 for k in others if k < band.first)])
     last = min([len(density) - 1, band.last + GUARD_BINS, *(k - GUARD_BINS - 1 for k in others if k > band.last)])
@@ -224,6 +252,7 @@ def _moving(
         spectrum.edf
     )
     half = float(scipy.special.ndtri(0.5 + spectrum.confidence / 2.0)) * math.sqrt(variance)
+    half += uneven * max(power, 0.0)
     low, middle, high = (
         math.sqrt(2.0 * band.background * width_hz * max(each, 0.0)) if math.isfinite(each) else math.nan
         for each in (power - half, power, power + half)

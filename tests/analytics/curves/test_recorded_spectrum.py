@@ -77,6 +77,24 @@ def test_the_limits_of_a_line_hold_it_whether_it_is_steady_or_moves(
     assert held.min() >= stats.binom.ppf(0.001, trials, 0.95)
 
 
+@pytest.mark.parametrize("share", [0.05, 0.6, -1.0], ids=["burst", "switched off", "fading"])
+@pytest.mark.parametrize(("amplitude", "trials"), [(60.0, 4), pytest.param(300.0, 40, marks=pytest.mark.long)])
+def test_the_limits_of_a_line_that_comes_and_goes_hold_its_mean_power(
+    share: float, amplitude: float, trials: int
+) -> None:
+    rng = np.random.default_rng(20260118)
+    held = 0
+    for _ in range(trials):
+        begin = rng.uniform(0.0, 0.9) if share == 0.05 else 0.0
+        place = np.arange(N) / N
+        strength = np.exp(-5.0 * place) if share < 0.0 else ((place >= begin) & (place < begin + share)).astype(float)
+        found = spectrum(noise(rng) + amplitude * strength * np.sin(2.0 * np.pi * 50.004 * T_S))
+        (line,) = (each for each in found.lines if abs(each.frequency_hz - 50.0) < 1.0)
+        assert line.is_steady is False
+        held += line.amplitude_lo <= amplitude * float((strength**2).mean()) ** 0.5 <= line.amplitude_hi
+    assert held >= stats.binom.ppf(0.001, trials, 0.95)
+
+
 @pytest.mark.parametrize("rise", [300.0, 3000.0])
 def test_a_warm_up_or_a_trend_is_no_hump_and_hardly_changes_the_density(rise: float) -> None:
     rng = np.random.default_rng(6)
