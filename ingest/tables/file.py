@@ -43,6 +43,7 @@ _MANY_MISSING = 0.01  # of the samples of its record
 _INT32 = np.iinfo(np.int32)
 _EXACT = 2.0**53
 
+_WORKBOOKS = frozenset({".xls", ".xlsx", ".xlsm", ".xlsb", ".et", ".ods"})
 _COMPRESSED = frozenset({".gz", ".bz2", ".xz", ".zst", ".zip", ".7z"})
 
 
@@ -256,6 +257,7 @@ def _open(path: Path) -> CsvTable | ParquetTable:
         if suffix not in CSV_SUFFIXES | PARQUET_SUFFIXES:
             known = " ".join(sorted(CSV_SUFFIXES | PARQUET_SUFFIXES))
             advice = "; decompress it first" if suffix in _COMPRESSED else ""
+            advice = "; in Excel, save it as CSV UTF-8" if suffix in _WORKBOOKS else advice
             raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}{advice}")
         if size == 0:
             raise BadInput(f"{path}: the file is empty")

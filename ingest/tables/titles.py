@@ -20,8 +20,9 @@ _CHINESE_TIMES = frozenset({"时间", "时刻", "时间戳", "采样时间", "�
 _SLASH_TITLE = re.compile(r"\s*([^\[\]()/]*[\u4e00-\u9fff][^\[\]()/]*?)\s*/\s*([^\[\]]+?)\s*")  # 量/单位, GB/T 3101
 # a unit without brackets begins behind a blank or a colon, or where Chinese letters end
 _UNIT_EDGE = re.compile(
-    r"[\s：:]+|(?<=[\u4e00-\u9fff])(?=[^\u4e00-\u9fff\w\s：:/\[\]()]|[a-zA-Zµμ])|(?<=[\u4e00-\u9fff])(?<![角温速])(?=度[/每])"
+    r"[\s：:]+(?:in\s+)?|(?<=[\u4e00-\u9fff])(?=[^\u4e00-\u9fff\w\s：:/\[\]()]|[a-zA-Zµμ])|(?<=[\u4e00-\u9fff])(?<![角温速])(?=度[/每])"
 )
+_SYMBOLS = frozenset("tTUIPf")  # of quantities, and of units too
 _OF_TIME = re.compile("时|间隔|周期|延迟|time|delay|latency|duration|interval|period")
 _FULL_WIDTH = str.maketrans({chr(code + 0xFEE0): chr(code) for code in range(0x21, 0x7F)} | {"【": "[", "】": "]"})
 _ROW_NUMBERS = frozenset({"序号", "行号", "点号", "采样序号", "样本序号", "no", "no.", "index"})
@@ -58,6 +59,18 @@ def _unit_ends(title: str) -> Iterator[tuple[str, str]]:
             yield name, end
 
 
+def _by_slash(title: str) -> tuple[str, str] | None:
+    """Name and unit of a title as physicists write them, unless it is a unit as a whole.
+
+    >>> _by_slash("T/℃"), _by_slash("ω/°/s"), _by_slash("V/deg/s"), _by_slash("Date/Time")
+    (('T', '℃'), ('ω', '°/s'), None, None)
+    """
+    name, _, unit = (part.strip() for part in title.partition("/"))
+    if not unit or not is_unit(unit) or (name not in _SYMBOLS and is_unit(title)):
+        return None
+    return name, unit
+
+
 def no_samples(name: str, cells: Callable[[], Sequence[str]]) -> str | None:
     """Why a column without a unit holds no samples, by its name and first cells: it numbers the rows, or has remarks.
 
@@ -86,6 +99,8 @@ def plain_letters(text: str) -> str:
 @lru_cache(maxsize=4096)
 def is_time_name(name: str) -> bool:
     """Whether a column is the time by its name."""
+    if _by_slash(name) is not None:  # T/℃
+        return False
     return plain_letters(name) in _LOOKS_LIKE_TIME or name.strip() in _CHINESE_TIMES
 
 
@@ -121,8 +136,9 @@ def how_to_name(title: str, name: str, held: str = "") -> str:
             f"column {title!r} may say whose samples a row holds: give --rename '{title}=unit'; to leave it out: "
             f"--rename '{title}='"
         )
-    if (found := next((each for each in _unit_ends(title) if is_unit(each[1])), None)) is not None:
-        of_time = is_time_name(found[0])
+    found = next((each for each in _unit_ends(title) if is_unit(each[1])), None) or _by_slash(title)
+    if found is not None:
+        of_time = is_time_name(found[0]) and is_time_unit(found[1])
         unit = time_unit(found[1]) if of_time else known_unit(found[1])
         proposed = f"{'time' if of_time else usable_name(found[0])}[{unit}]"
         return (

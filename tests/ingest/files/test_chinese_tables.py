@@ -270,3 +270,26 @@ def test_latin_text_is_not_taken_for_chinese(tmp_path: Path, gyrofleet: Callable
     done = gyrofleet("import", "a.csv", "--unit", "G-1", "--store", "S")
     assert done.code != 0
     assert "not UTF-8" in done.err + done.out
+
+
+@pytest.mark.parametrize(
+    ("titles", "proposed"),
+    [
+        ("t/s,ω/°/s,T/℃", ("t/s=time[s]", "ω/°/s=ω[°/s]", "T/℃=T[degC]")),
+        ("Zeit in s,Temp in °C,u V", ("Zeit in s=time[s]", "Temp in °C=Temp[°C]", "u V=u[V]")),
+    ],
+)
+def test_units_behind_a_slash_or_in_are_proposed_and_the_proposals_work(
+    titles: str, proposed: tuple[str, ...], tmp_path: Path, gyrofleet: Callable[..., Any]
+) -> None:
+    text = titles + "\n" + "".join(f"{at},0.{at},25\n" for at in range(9))
+    found = refusal(gyrofleet, tmp_path / "r.csv", text)
+    assert all(f"--rename '{each}'" in found for each in proposed)
+    signals, _ = imported(
+        gyrofleet, tmp_path / "r.csv", text, *(word for each in proposed for word in ("--rename", each))
+    )
+    assert len(signals) == 2
+
+
+def test_a_workbook_is_refused_with_what_to_do(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    assert "in Excel, save it as CSV UTF-8" in refusal(gyrofleet, tmp_path / "r.xlsx", "PK")
