@@ -15,7 +15,7 @@ _INSTRUMENT = re.compile(
 )
 _OUTPUT = re.compile("^(rate|gyro|angle|output)")
 _NAMED = re.compile("^rate(_|$)|^gyro(_[xyz])?$|^(?i:angle_([xyz]|heading|yaw|azimuth|pitch|roll))$")
-_CHINESE = re.compile(  # as the SQL macro `is_output_name` has it
+_CHINESE = re.compile(
     "(([xyz][轴向]?|航向|俯仰|横滚|滚转)_?)?((光纤|激光)?陀螺仪?|角速[率度])"
     "(输出(信号|脉冲|计数|电压)?|信号|脉冲|计数)?数?值?_?([xyz][轴向]?|[0-9]+)?"
 )
@@ -30,6 +30,16 @@ def is_instrument_name(signal: str) -> bool:
     (True, False)
     """
     return _INSTRUMENT.search(signal.lower()) is not None
+
+
+def is_output_name(signal: str) -> bool:
+    """Whether metrics take a signal for the output of a gyro by its name, as the SQL macro `is_output_name` has it.
+
+    >>> is_output_name("rate_x"), is_output_name("X轴陀螺输出"), is_output_name("rate_table"), is_output_name("转速")
+    (True, True, False, False)
+    """
+    is_named = _NAMED.search(signal) is not None or _CHINESE.fullmatch(signal.lower()) is not None
+    return is_named and not is_instrument_name(signal)
 
 
 def tested_units(signals: Iterable[SignalSummary]) -> list[str]:
@@ -64,7 +74,4 @@ def no_output_warnings(signals: Sequence[SignalSummary]) -> list[str]:
 def _is_output(signal: SignalSummary) -> bool:
     """Whether metrics take a signal for the output of a gyro."""
     name = signal.signal
-    if is_instrument_name(name):
-        return False
-    is_named = _NAMED.search(name) is not None or _CHINESE.fullmatch(name.lower()) is not None
-    return is_named or is_angular_rate(signal.unit_of_measure)
+    return is_output_name(name) or (is_angular_rate(signal.unit_of_measure) and not is_instrument_name(name))
