@@ -39,8 +39,9 @@ class UnitVerdictCondition(Condition, frozen=True, kw_only=True, tag="unit_verdi
             unit, verdict = row["unit"], row["verdict"]
             if verdict in self.verdicts:
                 why, why_zh = (_why(row, language) for language in ("en", "zh"))
+                what = "fails its specifications" if verdict == "FAIL" else f"has {verdict} by its specifications"
                 text = Bilingual(
-                    f"unit {unit} has {verdict} by its specifications{': ' * bool(why)}{why}",
+                    f"unit {unit} {what}{': ' * bool(why)}{why}",
                     f"产品{unit}按规范判定为{_ZH[verdict]}{'：' * bool(why_zh)}{why_zh}",
                 )
                 found.append(Finding(f"{unit}/{verdict}", unit, text, unit=unit))

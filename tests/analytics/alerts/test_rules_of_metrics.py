@@ -64,7 +64,7 @@ def test_a_unit_that_fails_in_a_file_is_reported_until_its_run_is_excluded(run_c
             done("import", f"{unit}.csv", "--unit", unit, *words, "--position", "IRA_up")
         service.look()
         (alert,) = raised_alerts(Store.open(tmp_path / "S"))
-        assert (alert.subject, alert.text) == ("G2", "unit G2 has FAIL by its specifications: Bias")
+        assert (alert.subject, alert.text) == ("G2", "unit G2 fails its specifications: Bias")
         assert alert.text_zh == "产品G2按规范判定为不合格：零偏"
         done("runs", "exclude", "of-G2", "--reason", "kicked")
         service.look()
