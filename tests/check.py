@@ -34,7 +34,7 @@ LOWEST = (
 )
 # more than there are processors: many tests wait for processes of their own
 PARALLEL = (
-    "--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "loadfile", "--no-loadscope-reorder",
+    "--numprocesses", str((os.cpu_count() or 1) + 2), "--dist", "loadfile", "--no-loadscope-reorder",
 )  # fmt: skip
 # of examples in docstrings; those of the kernels first, which are compiled then
 PACKAGES = ("stream", "storage", "ingest", "analytics")
