@@ -13,7 +13,7 @@ from storage.sql.reading import stored_between
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher
-from stream.errors import QueryError
+from stream.errors import StoreError
 from stream.identity import Place, sample_key
 from stream.transport.bus import LocalBus
 
@@ -74,7 +74,7 @@ def test_damage_of_other_runs_is_not_met(store: Store, table: str) -> None:
         assert damage_other_runs(catalog, "r2") >= 6
         assert catalog.rows(sql, asked) == before
         column = "value" if table == "samples" else "mean"
-        with pytest.raises(QueryError):  # the view does open them
+        with pytest.raises(StoreError):  # the view does open them
             catalog.rows(f"select sum({column}) from {table} where run = 'r2'")
 
 
