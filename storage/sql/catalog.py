@@ -243,15 +243,20 @@ class Catalog(Closing):
         """The rows of a table that was put."""
         return self._tables.stored(name)
 
-    def paths_of(self, runs: Iterable[str]) -> list[str]:
-        """Files that have all samples and rollups of some runs, for `internal.samples_in` and its like."""
+    def paths_of(self, runs: Iterable[str], tables: Collection[str] = _OF_CHANNELS) -> list[str]:
+        """Files that have all samples and rollups of some runs, for `internal.samples_in` and its like.
+
+        Each is compared with its hash, once, since DuckDB checks no page. StoreError if one is damaged.
+        """
         if self._folders_of_runs is None:
             found: defaultdict[str, list[str]] = defaultdict(list)
             for run, path in self.rows("select distinct run, filename from internal.lake_channel_parts"):
                 found[run].append(path.rpartition("/")[0])
             self._folders_of_runs = dict(found)
         folders = {folder for run in runs for folder in self._folders_of_runs.get(run, ())}
-        return [f"{folder}/{table}.parquet" for folder in sorted(folders) for table in _OF_CHANNELS]
+        paths = [f"{folder}/{table}.parquet" for folder in sorted(folders) for table in tables]
+        self.source.check(paths)
+        return paths
 
     def overlay(
         self, name: str, channels: pa.Table, events: pa.Table, kept: Mapping[str, str], kinds: Collection[str],

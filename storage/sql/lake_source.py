@@ -46,6 +46,9 @@ class LakeSource(Protocol):
     def open_table(self, path: str) -> "tuple[pq.ParquetFile, Footer]":
         """A table of channels with page checksums, and its footer; StoreError if it is damaged."""
 
+    def check(self, paths: Iterable[str]) -> None:
+        """Compare files with what was written, once each, since DuckDB checks no page; StoreError if one differs."""
+
 
 class LocalLake:
     """The lake in a store's folder."""
@@ -54,14 +57,32 @@ class LocalLake:
         self._folder = store.lake.resolve()
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self.root = str(self._folder)
+        self._checked: set[str] = set()
 
     @cached_property
     def _digests(self) -> dict[str, str]:
         return _digests_of(self.parts)
 
+    @cached_property
+    def _hashes(self) -> dict[str, str]:
+        return {self.path(part.name, name): file.sha256 for part in self.parts for name, file in part.files.items()}
+
     def path(self, part: str, file: str) -> str:
         """Path of a file."""
         return str(self._folder / part / file)
+
+    def check(self, paths: Iterable[str]) -> None:
+        """As of `LakeSource`."""
+        from storage.lake.tables import damaged
+        from storage.segments.disk import sha256_of
+
+        for path in set(paths) - self._checked:
+            try:
+                if path in self._hashes and sha256_of(Path(path)) != self._hashes[path]:
+                    raise damaged(Path(path), ValueError("its content does not match its hash"))
+            except OSError as error:
+                raise damaged(Path(path), error) from error
+            self._checked.add(path)
 
     def attach(self, connection: "duckdb.DuckDBPyConnection") -> None:
         """Nothing to do."""
@@ -132,6 +153,9 @@ class RangeLake:
                 return _FIRST_NS
 
         connection.register_filesystem(LakeFileSystem())
+
+    def check(self, paths: Iterable[str]) -> None:
+        """Nothing to do: files are fetched by ranges."""
 
     def bring(self, paths: Iterable[str]) -> None:
         """Fetch small files, several at a time."""

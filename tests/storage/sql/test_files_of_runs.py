@@ -78,6 +78,18 @@ def test_damage_of_other_runs_is_not_met(store: Store, table: str) -> None:
             catalog.rows(f"select sum({column}) from {table} where run = 'r2'")
 
 
+@pytest.mark.parametrize("table", TABLES)
+def test_a_flipped_byte_in_a_page_is_not_taken_in(store: Store, table: str) -> None:
+    """DuckDB checks no page."""
+    with Catalog(store) as catalog:
+        (path, *_) = (Path(each) for each in catalog.paths_of(["r2"], [table]) if Path(each).stat().st_size > 1500)
+    content = bytearray(path.read_bytes())
+    content[200] ^= 1
+    path.write_bytes(content)
+    with Catalog(store) as catalog, pytest.raises(StoreError, match=r"does not match its hash.*gyrofleet recover"):
+        catalog.paths_of(["r2"], [table])
+
+
 def test_samples_between_two_times_open_the_run_s_files(store: Store) -> None:
     with Catalog(store) as catalog:
         first_ns = 2000 * SECOND_NS

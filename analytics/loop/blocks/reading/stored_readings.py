@@ -72,7 +72,7 @@ class StoredReadings:
         batches = self._catalog.batches(
             "select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal "
             "and run = $run and t_ns between $first and $last and isfinite(value) order by t_ns",
-            {"paths": self._catalog.paths_of([source.run]), **asked},
+            {"paths": self._catalog.paths_of([source.run], ["samples"]), **asked},
         )
         for batch in batches:
             yield numbers(batch.column("t_ns")), numbers(batch.column("value"))
