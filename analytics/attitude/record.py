@@ -110,7 +110,7 @@ def rates_of(catalog: Catalog, run: str, unit: str, step: AttitudeStep) -> Rates
     """The samples of a step; raises BadInput where they are no longer in the store, or too many are missing."""
     signals = [own.signal for own in step.axes.values()]
     asked = {"run": run, "unit": unit, "signals": signals, "first": step.t_from_ns, "last": step.t_to_ns}
-    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run], ["samples"]), **asked}).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.checked_paths_of([run], _SAMPLES), **asked}).read_all()
     names, t_ns = np.asarray(table["signal"].to_numpy(zero_copy_only=False)), table["t_ns"].to_numpy()
     values = np.asarray(table["value"].to_numpy(), np.float64)
     series = list(_of_axes(step, names, t_ns, values))

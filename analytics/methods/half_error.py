@@ -95,7 +95,7 @@ def _last_of_run(holds: np.ndarray[Any, np.dtype[np.bool_]], size: FloatArray) -
 def of_slow_turn(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
     """The threshold of a recorded turn, see `threshold_in_turn`."""
     asked = {name: row[name] for name in ("run", "unit", "signal")} | {"start": row["t_from_ns"], "end": row["t_to_ns"]}
-    means = catalog.reader(_MEANS, {"paths": catalog.paths_of([row["run"]], ["rollup_1s"]), **asked}).read_all()
+    means = catalog.reader(_MEANS, {"paths": catalog.checked_paths_of([row["run"]], _MEANS), **asked}).read_all()
     t_s, output = (np.asarray(means[name].to_numpy(), np.float64) for name in ("t_s", "mean"))
     if t_s.size < 8 * len(_QUARTERS):
         return {"reason": f"{t_s.size} means of 1 s in the turn, too few to see four crossings"}

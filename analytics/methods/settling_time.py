@@ -20,7 +20,8 @@ _TAIL = 0.25
 _SAMPLES = """
 select w.which, list(s.t_ns order by s.t_ns, s.seq) as t_ns, list(s.value order by s.t_ns, s.seq) as values
 from given_rows w
-join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal and s.t_ns between w.on_ns and w.t_to_ns
+join internal.samples_in($paths) s
+  on s.run = w.run and s.unit = w.unit and s.signal = w.signal and s.t_ns between w.on_ns and w.t_to_ns
 where s.run = $run
 group by w.which
 """
@@ -59,7 +60,9 @@ def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int
     """Times and values of the samples of each test, from power-on to its end."""
     names = ("run", "unit", "signal", "on_ns", "t_to_ns")
     rows = [{"which": which, **{name: test[name] for name in names}} for which, test in enumerate(tests)]
-    samples = catalog.table(_SAMPLES, pa.Table.from_pylist(rows), {"run": run})
+    samples = catalog.table(
+        _SAMPLES, pa.Table.from_pylist(rows), {"run": run, "paths": catalog.checked_paths_of([run], _SAMPLES)}
+    )
     return {
         row["which"]: (np.array(row["t_ns"], np.int64), np.array(row["values"], np.float64))
         for row in samples.to_pylist()

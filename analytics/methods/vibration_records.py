@@ -157,7 +157,7 @@ def _reference(
 def _fetched(catalog: Catalog, run: str, unit: str, signal: str, steps: Iterable[Mapping[str, Any]]) -> _Series:
     spans = [(step["t_from_ns"], step["t_to_ns"]) for step in steps]
     asked = {"run": run, "unit": unit, "signal": signal, "first": min(spans)[0], "last": max(end for _, end in spans)}
-    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run], ["samples"]), **asked}).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.checked_paths_of([run], _SAMPLES), **asked}).read_all()
     return _Series(table["t_ns"].to_numpy(), table["value"].to_numpy())
 
 

@@ -44,7 +44,7 @@ def _normalised(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     which = (row[name] for name in ("unit", "signal", "run", "t_from_ns", "t_to_ns"))
     try:
-        times_ns, values = stored_between(catalog, *which)
+        times_ns, values = stored_between(catalog, *which, is_checked=True)
     except NotFound as error:
         return {"reason": str(error)}
     slots = np.rint((times_ns - times_ns[0]) / 1e9 / row["sample_interval_s"]).astype(np.int64)

@@ -23,7 +23,8 @@ _SPREAD = """
 with turns as (
   select w.run, w.unit, w.signal, w."index", (s.t_ns - w.t_from_ns) // w.turn_ns as turn, avg(s.value) as mean
   from internal.attitude_windows w
-  join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal
+  join internal.samples_in($paths) s
+    on s.run = w.run and s.unit = w.unit and s.signal = w.signal
     and s.t_ns >= w.t_from_ns and s.t_ns < w.t_from_ns + (w.t_to_ns + 1 - w.t_from_ns) // w.turn_ns * w.turn_ns
   where s.run in (select run from internal.attitude_windows) and s.unit in (select unit from internal.attitude_windows)
   group by all
@@ -78,7 +79,8 @@ def _by_turns(catalog: Catalog, steps: Sequence[dict[str, Any]]) -> None:
     if not windows:
         return
     catalog.put("attitude_windows", pa.Table.from_pylist(windows))
-    found = {tuple(key): (turns, spread) for *key, turns, spread in catalog.rows(_SPREAD)}
+    given = {"paths": catalog.checked_paths_of({each["run"] for each in windows}, _SPREAD)}
+    found = {tuple(key): (turns, spread) for *key, turns, spread in catalog.rows(_SPREAD, given)}
     for step in steps:
         turns, spread = found.get((step["run"], step["unit"], step["signal"], step["index"]), (0, None))
         if turns >= _LEAST_MEANS and spread is not None:

@@ -37,8 +37,8 @@ _AVERAGES = pa.schema(
     + [("index", pa.int64()), ("average_s", pa.float64()), ("n", pa.int64())]
     + [(name, pa.float64()) for name in ("sd", "freedom")]
 )
-_SAMPLES = "(select run, unit, signal, t_ns, 1 as n, value as mean from samples)"
-_SOURCES = {10 * 10**9: "rollup_10s", 10**9: "rollup_1s", 1: _SAMPLES}
+_SAMPLES = "(select run, unit, signal, t_ns, 1 as n, value as mean from internal.samples_in($paths))"
+_SOURCES = {10 * 10**9: "internal.rollup_10s_in($paths)", 10**9: "internal.rollup_1s_in($paths)", 1: _SAMPLES}
 
 
 def compute(catalog: Catalog, sql: str) -> pa.Table:
@@ -58,7 +58,9 @@ def _products_averages(catalog: Catalog) -> pa.Table:
         catalog.put("averages_wanted", pa.Table.from_pylist(steps))
     for base_ns in sorted({step["base_ns"] for step in steps}):
         sql = _MEANS.format(source=_SOURCES[base_ns], base_ns=base_ns, share=LEAST_SHARE)
-        for row in catalog.table(sql).to_pylist():
+        runs = {step["run"] for step in steps if step["base_ns"] == base_ns}
+        paths = catalog.checked_paths_of(runs, sql)
+        for row in catalog.table(sql, parameters={"paths": paths}).to_pylist():
             found = scatter_of_averages(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
             steps[row["which"]] |= found._asdict() if found.n > 1 else {"n": found.n}
     return pa.Table.from_pylist(steps, schema=_AVERAGES)

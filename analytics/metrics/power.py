@@ -14,7 +14,8 @@ from stream.batch import FloatArray, IntArray
 _READINGS = """
 select w.which, s.signal, list(s.t_ns order by s.t_ns) as t_ns, list(s.value order by s.t_ns) as values
 from internal.power_windows w
-join samples s on s.run = w.run and s.unit = w.supply and s.t_ns between w.t_from_ns and w.t_to_ns
+join internal.samples_in($paths) s
+  on s.run = w.run and s.unit = w.supply and s.t_ns between w.t_from_ns and w.t_to_ns
 where s.run = $run and s.signal in ('supply_voltage', 'supply_current')
 group by w.which, s.signal
 """
@@ -31,7 +32,8 @@ def compute(catalog: Catalog, sql: str) -> Iterator[dict[str, Any]]:
         windows = [{"which": at, **{name: step[name] for name in columns}} for at, step in enumerate(of_run)]
         catalog.put("power_windows", pa.Table.from_pylist(windows))
         readings: dict[int, dict[str, tuple[IntArray, FloatArray]]] = {}
-        for row in catalog.reader(_READINGS, {"run": run}).read_all().to_pylist():
+        given = {"run": run, "paths": catalog.checked_paths_of([run], _READINGS)}
+        for row in catalog.reader(_READINGS, given).read_all().to_pylist():
             series = np.array(row["t_ns"], np.int64), np.array(row["values"], np.float64)
             readings.setdefault(row["which"], {})[row["signal"]] = series
         for at, step in enumerate(of_run):

@@ -117,7 +117,7 @@ class RawLooks:
     def _spread(self, signal: EvaluatedSignal, window: tuple[int, int]) -> FloatArray:
         width_ns = _BLOCK * max(signal.dt_ns, 1)
         given = {
-            "paths": self._catalog.paths_of([signal.run], ["samples"]), "run": signal.run, "unit": signal.unit,
+            "paths": self._catalog.paths_of([signal.run]), "run": signal.run, "unit": signal.unit,
             "signal": signal.signal, "first": window[0], "last": window[1], "width": width_ns,
             "every": max((window[1] - window[0]) // _BLOCKS, width_ns),
         }  # fmt: skip

@@ -140,7 +140,7 @@ def _fetched(catalog: Catalog, group: list[EvaluatedSignal], *, is_raw: bool) ->
     sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
     runs, units = (sorted({getattr(each, name) for each in group}) for name in ("run", "unit"))
     parameters = {
-        "paths": catalog.paths_of(runs, ["samples" if is_raw else "rollup_1s"]),
+        "paths": catalog.checked_paths_of(runs, sql),
         "runs": runs,
         "units": units,
         # by which row groups of other units are not read

@@ -94,7 +94,7 @@ def imu_series(
     """
     signals = [channel.signal for channel in channels.all]
     asked = {"run": run, "unit": unit, "signals": signals, "first": span[0], "last": span[1]}
-    table = catalog.reader(_SAMPLES, {"paths": catalog.paths_of([run], ["samples"]), **asked}).read_all()
+    table = catalog.reader(_SAMPLES, {"paths": catalog.checked_paths_of([run], _SAMPLES), **asked}).read_all()
     own, t_ns = np.asarray(table["signal"].to_numpy(zero_copy_only=False)), table["t_ns"].to_numpy()
     values = np.asarray(table["value"].to_numpy(), np.float64)
     series = {}

@@ -243,18 +243,23 @@ class Catalog(Closing):
         """The rows of a table that was put."""
         return self._tables.stored(name)
 
-    def paths_of(self, runs: Iterable[str], tables: Collection[str] = _OF_CHANNELS) -> list[str]:
-        """Files that have all samples and rollups of some runs, for `internal.samples_in` and its like.
-
-        Each is compared with its hash, once, since DuckDB checks no page. StoreError if one is damaged.
-        """
+    def paths_of(self, runs: Iterable[str]) -> list[str]:
+        """Files that have all samples and rollups of some runs, for `internal.samples_in` and its like."""
         if self._folders_of_runs is None:
             found: defaultdict[str, list[str]] = defaultdict(list)
             for run, path in self.rows("select distinct run, filename from internal.lake_channel_parts"):
                 found[run].append(path.rpartition("/")[0])
             self._folders_of_runs = dict(found)
         folders = {folder for run in runs for folder in self._folders_of_runs.get(run, ())}
-        paths = [f"{folder}/{table}.parquet" for folder in sorted(folders) for table in tables]
+        return [f"{folder}/{table}.parquet" for folder in sorted(folders) for table in _OF_CHANNELS]
+
+    def checked_paths_of(self, runs: Iterable[str], sql: str) -> list[str]:
+        """Those of the tables that a statement names, compared with their hashes; StoreError if one is damaged.
+
+        DuckDB checks no page. A file is read once for that.
+        """
+        files = tuple(f"/{table}.parquet" for table in _OF_CHANNELS if f"internal.{table}_in(" in sql)
+        paths = [path for path in self.paths_of(runs) if path.endswith(files)]
         self.source.check(paths)
         return paths
 

@@ -36,6 +36,11 @@ order by s.t_last_ns - s.t_first_ns desc,
 # which has nothing to choose, and asks nothing of the runs
 _OF_RUN = f"{_RECORDS} where s.unit = $unit and s.signal = $signal and s.run = $run"
 
+_BETWEEN = """
+select t_ns, value from internal.samples_in($paths)
+where unit = $unit and signal = $signal and run = $run and t_ns between $first and $last order by t_ns
+"""
+
 
 @dataclass(frozen=True)
 class SignalRecord:
@@ -234,9 +239,12 @@ def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int
 
 
 def stored_between(
-    catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int
+    catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int, *, is_checked: bool = False
 ) -> tuple[IntArray, FloatArray]:
-    """Times (ns, ascending) and values of a signal between two times, inclusive; NotFound if raw rows were dropped."""
+    """Times (ns, ascending) and values of a signal between two times, inclusive; NotFound if raw rows were dropped.
+
+    What is stated is to be checked: whole files are compared with their hashes then.
+    """
     where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
     (dropped,) = catalog.rows(
         "select coalesce(sum(samples), 0)::bigint, count(*) from internal.lake_channels_dropped where unit = $unit and "
@@ -245,9 +253,6 @@ def stored_between(
     )
     if dropped[1]:
         raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
-    table = catalog.reader(
-        "select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal and run = $run "
-        "and t_ns between $first and $last order by t_ns",
-        {"paths": catalog.paths_of([run]), **where},
-    ).read_all()
+    paths = catalog.checked_paths_of([run], _BETWEEN) if is_checked else catalog.paths_of([run])
+    table = catalog.reader(_BETWEEN, {"paths": paths, **where}).read_all()
     return numbers(table.column(0)), numbers(table.column(1))

@@ -163,7 +163,7 @@ def rows_of(
     """
     keys = list(grids)
     wanted = {
-        "paths": catalog.paths_of(key.run for key in keys),
+        "paths": catalog.checked_paths_of((key.run for key in keys), sql),
         "units": [key.unit for key in keys],
         "signals": [key.signal for key in keys],
         "runs": [key.run for key in keys],

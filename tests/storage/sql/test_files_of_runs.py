@@ -81,13 +81,16 @@ def test_damage_of_other_runs_is_not_met(store: Store, table: str) -> None:
 @pytest.mark.parametrize("table", TABLES)
 def test_a_flipped_byte_in_a_page_is_not_taken_in(store: Store, table: str) -> None:
     """DuckDB checks no page."""
+    asked = f"from internal.{table}_in($paths)"
     with Catalog(store) as catalog:
-        (path, *_) = (Path(each) for each in catalog.paths_of(["r2"], [table]) if Path(each).stat().st_size > 1500)
+        (path, *_) = (
+            Path(each) for each in catalog.checked_paths_of(["r2"], asked) if Path(each).stat().st_size > 1500
+        )
     content = bytearray(path.read_bytes())
     content[200] ^= 1
     path.write_bytes(content)
     with Catalog(store) as catalog, pytest.raises(StoreError, match=r"does not match its hash.*gyrofleet recover"):
-        catalog.paths_of(["r2"], [table])
+        catalog.checked_paths_of(["r2"], asked)
 
 
 def test_samples_between_two_times_open_the_run_s_files(store: Store) -> None:

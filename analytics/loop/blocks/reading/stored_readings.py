@@ -15,6 +15,10 @@ from stream.batch import FloatArray, IntArray
 MOST_READINGS = 500_000  # of the signals that are read together
 _MOST_AHEAD = 2_000_000  # readings in memory before they are asked for; others are read when they are
 _MOST_EXTREMES = 30
+_VALUES = """
+select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal
+  and run = $run and t_ns between $first and $last and isfinite(value) order by t_ns
+"""
 _EXTREMES = "select w.number, (s.t_ns - w.t0_ns) / 1e9 as t_s, s.lo, s.hi from internal.rollup_1s_in($paths) s WANTED"
 
 
@@ -69,12 +73,8 @@ class StoredReadings:
             yield known
             return
         asked = {**source.key._asdict(), "first": grid.first_ns, "last": grid.last_ns}
-        batches = self._catalog.batches(
-            "select t_ns, value from internal.samples_in($paths) where unit = $unit and signal = $signal "
-            "and run = $run and t_ns between $first and $last and isfinite(value) order by t_ns",
-            {"paths": self._catalog.paths_of([source.run], ["samples"]), **asked},
-        )
-        for batch in batches:
+        paths = self._catalog.checked_paths_of([source.run], _VALUES)
+        for batch in self._catalog.batches(_VALUES, {"paths": paths, **asked}):
             yield numbers(batch.column("t_ns")), numbers(batch.column("value"))
 
     def of(self, source: ChannelSource, grid: Grid) -> Readings:

@@ -22,6 +22,9 @@ REFERENCE_RATES = ("input_rate", "table_rate")
 _FAST_S = 0.5
 _SAME = 1.05
 _SAME_INTERVAL, _SAME_MOMENT = 1e-3, 0.02
+_SPAN = """
+select max(hi) - min(lo) from internal.rollup_10s_in($paths) where unit = $unit and signal = $signal and run = $run
+"""
 _REFERENCE = re.compile(r"table|stage|fixture|reference|command|set_?point|input|(?:^|_)ref(?:_|$)")
 
 
@@ -251,9 +254,6 @@ def _ordered(
 
 
 def _span(catalog: Catalog, source: ChannelSource) -> float:
-    rows = catalog.rows(
-        "select max(hi) - min(lo) from internal.rollup_10s_in($paths) "
-        "where unit = $unit and signal = $signal and run = $run",
-        {"paths": catalog.paths_of([source.run]), "unit": source.unit, "signal": source.signal, "run": source.run},
-    )
+    given = {"unit": source.unit, "signal": source.signal, "run": source.run}
+    rows = catalog.rows(_SPAN, {"paths": catalog.checked_paths_of([source.run], _SPAN), **given})
     return float(rows[0][0] or 0.0)
