@@ -6,9 +6,9 @@ import threading
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from stream.chinese_units import CHINESE_UNITS
 from stream.errors import UnknownUnit
-from stream.known_units import KNOWN, NUMBERS
+from stream.units.chinese_units import CHINESE_UNITS
+from stream.units.known_units import KNOWN, NUMBERS
 
 if TYPE_CHECKING:
     import pint

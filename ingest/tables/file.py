@@ -14,11 +14,11 @@ import numpy as np
 from ingest.tables.batches import Batcher, SignalHead, by_time, splits_at_gaps, usual_batch_samples
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import TableOptions, read_header
-from ingest.tables.csv_chunks import CsvTable
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, CellBlock, NumberCells
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
+from ingest.tables.text.csv_chunks import CsvTable
 from ingest.tables.times import RunClock
 from ingest.tables.timing.grid import SignalGrids
 from ingest.tables.timing.time_remarks import (

@@ -7,8 +7,8 @@ import pytest
 
 from stream.errors import BadInput, UnknownUnit
 from stream.identity import check_name, parse_key
-from stream.known_units import KNOWN
 from stream.quantities import check_unit, conversion, is_angular_rate, report_unit
+from stream.units.known_units import KNOWN
 
 
 @pytest.mark.parametrize("text", ["dge/s", "deg/", "[", "deg/s)", "degrees Celsius per", "__import__('os')"])

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from ingest.tables.checks import GoodRows, Owner
 from ingest.tables.columns import TableOptions
-from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.csv_lines import usual_lines
 from ingest.tables.file import TableFile
 from ingest.tables.rows import CellBlock, NumberCells, Room
+from ingest.tables.text.csv_chunks import CsvTable
+from ingest.tables.text.csv_lines import usual_lines
 from ingest.tables.timing.grid import SamplingGrid, SignalGrids
 from stream.batch import SampleBatch
 

@@ -47,7 +47,7 @@ def test_blank_lines_at_the_end_and_comments_are(write: Write, deliver: Any, sam
 
 
 def test_blank_lines_are_found_across_blocks(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ingest.tables.csv_chunks.CsvTable.__init__.__defaults__", (64,))
+    monkeypatch.setattr("ingest.tables.text.csv_chunks.CsvTable.__init__.__defaults__", (64,))
     path = write("rate[deg/s]\n" + "1.25\n" * 40 + "\n" + "1.25\n" * 40)
     with pytest.raises(BadInput, match="line 42: a blank line"):
         TableFile(path, TableOptions(unit="G1", sample_rate_hz=10.0)).check()

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import strategies as st
 
 from ingest.tables.columns import TableOptions, read_header
-from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.csv_lines import LineReader
 from ingest.tables.file import TableFile
 from ingest.tables.rows import BadRow, BadRows, CellBlock
+from ingest.tables.text.csv_chunks import CsvTable
+from ingest.tables.text.csv_lines import LineReader
 from stream.errors import BadInput
 from stream.identity import NAME_RULE
 from tests.stream.examples import examples

@@ -12,8 +12,8 @@ from itertools import accumulate, islice
 import numpy as np
 
 from ingest.tables.columns import Columns, TimeColumn
-from ingest.tables.csv_header import DELIMITERS, BadCell, cells_of, header_place, is_row, split_line, with_units
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
+from ingest.tables.text.csv_header import DELIMITERS, BadCell, cells_of, header_place, is_row, split_line, with_units
 from ingest.tables.times import NUMBER, match_stamp, ns_from_stamp, ns_from_text
 from ingest.tables.timing.dated_clocks import joined
 from stream.batch import FloatArray

@@ -11,10 +11,18 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_lines import COMMENT, Dialect, LineReader, find_dialect, is_gb18030, usual_lines, without_blanks
 from ingest.tables.encodings import how_to_convert, utf16_of
-from ingest.tables.number_cells import WIDE_MARKS, narrow_numbers, no_number
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
+from ingest.tables.text.csv_lines import (
+    COMMENT,
+    Dialect,
+    LineReader,
+    find_dialect,
+    is_gb18030,
+    usual_lines,
+    without_blanks,
+)
+from ingest.tables.text.number_cells import WIDE_MARKS, narrow_numbers, no_number
 from ingest.tables.times import decimal_places, match_stamp, ns_from_decimals, ns_from_floats, ns_from_stamps, numpy_of
 from ingest.tables.timing.dated_clocks import joined_cells
 from stream.batch import IntArray
