@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from stream.errors import UnknownUnit
-from stream.units.chinese_units import CHINESE_UNITS
+from stream.units.chinese_units import chinese_unit
 from stream.units.known_units import KNOWN, NUMBERS
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def plain_unit(text: str) -> str:
     ('deg/h', 'Mohm')
     """
     plain = text.translate(_PLAIN)
-    if (word := CHINESE_UNITS.get("".join(plain.split()))) is not None:
+    if (word := chinese_unit(plain)) is not None:
         return word
     return _ROOT_SIGN.sub(lambda match: f"sqrt({match[1] or match[2] or match[3]})", plain)
 

@@ -9,9 +9,12 @@ from stream.quantities import is_angular_rate
 
 # as the SQL macro `is_instrument_name` has it
 _INSTRUMENT = re.compile(
-    "^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth|motor|spindle)"
-    "|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth|[os])$"
-    "|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速"
+    "^(table|input|chamber|command|cmd|set_?point|target|demand|desired|vibration|stage|platform|encoder|earth|motor"
+    "|spindle|soll|(dreh)?tisch|drehzahl|vorgabe|referenz|kammer|consigne|plateau)"
+    "|^(reference|ref|true|truth)(_|$)"
+    "|^rate_(table|input|command|set_?point|target|demand|desired|reference|ref|true|truth|[os])$"
+    "|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|目标|期望|温箱|地球|地速|电机)|转速"
+    "|^(轉台|速率台|基準|標準|設定|給定|目標|テーブル|モータ)|轉速|回転数"
 )
 _OUTPUT = re.compile("^(rate|gyro|angle|output)")
 _NAMED = re.compile("^rate(_|$)|^gyro(_[xyz])?$|^(?i:angle_([xyz]|heading|yaw|azimuth|pitch|roll))$")
@@ -26,8 +29,8 @@ _COUNTS = frozenset({"count", "LSB", "count/s", "LSB/s"})
 def is_instrument_name(signal: str) -> bool:
     """Whether a signal is that of a table, a chamber, or a reference.
 
-    >>> is_instrument_name("Table_rate"), is_instrument_name("rate_x")
-    (True, False)
+    >>> is_instrument_name("Table_rate"), is_instrument_name("Soll-Drehrate"), is_instrument_name("rate_x")
+    (True, True, False)
     """
     return _INSTRUMENT.search(signal.lower()) is not None
 

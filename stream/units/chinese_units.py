@@ -1,16 +1,52 @@
-"""Units of measure in Chinese words."""
+"""Units of measure in Chinese words: words, prefixes, powers and roots, joined as units in letters are."""
 
-CHINESE_UNITS = {
-    "度": "deg", "度/秒": "deg/s", "度/s": "deg/s", "deg/秒": "deg/s", "度/小时": "deg/h", "度/时": "deg/h",
-    "度/h": "deg/h", "deg/小时": "deg/h", "deg/时": "deg/h", "度每秒": "deg/s", "度每小时": "deg/h", "度每时": "deg/h",
-    "°/小时": "deg/h", "°/时": "deg/h", "°/秒": "deg/s", "弧度": "rad", "弧度/秒": "rad/s", "角秒": "arcsec",
-    "角分": "arcmin", "摄氏度": "degC", "秒": "s", "毫秒": "ms", "微秒": "us", "分": "min", "分钟": "min", "小时": "h",
-    "时": "h", "伏": "V", "毫伏": "mV", "安": "A", "毫安": "mA", "瓦": "W", "赫兹": "Hz", "欧": "ohm", "欧姆": "ohm",
-    "千欧": "kohm", "兆欧": "Mohm", "兆欧姆": "Mohm", "米/秒": "m/s", "米/秒²": "m/s^2", "脉冲": "count",
-    "脉冲数": "count", "个": "count", "脉冲/秒": "count/s", "脉冲/s": "count/s", "转/分": "rpm", "转/分钟": "rpm",
-    "转/秒": "turn/s", "转每分": "rpm", "转每分钟": "rpm", "转每秒": "turn/s", "弧度每秒": "rad/s", "毫弧度": "mrad",
-    "毫弧度/秒": "mrad/s", "毫弧度每秒": "mrad/s", "角秒/秒": "arcsec/s", "角秒每秒": "arcsec/s", "度/分": "deg/min",
-    "度每分": "deg/min", "度/分钟": "deg/min", "度每分钟": "deg/min", "微伏": "uV", "微安": "uA", "千赫": "kHz",
-    "米每秒": "m/s", "米/秒^2": "m/s^2", "米每二次方秒": "m/s^2", "米每平方秒": "m/s^2", "帕": "Pa", "百帕": "hPa",
-    "千帕": "kPa", "天": "day",
+import re
+from functools import lru_cache
+
+_WORDS = {
+    "度": "deg", "弧度": "rad", "角秒": "arcsec", "角分": "arcmin", "摄氏度": "degC", "开尔文": "K", "秒": "s",
+    "分": "min", "分钟": "min", "小时": "h", "时": "h", "天": "day", "伏": "V", "伏特": "V", "安": "A", "安培": "A",
+    "瓦": "W", "瓦特": "W", "赫": "Hz", "赫兹": "Hz", "欧": "ohm", "欧姆": "ohm", "米": "m", "帕": "Pa",
+    "帕斯卡": "Pa", "特斯拉": "T", "高斯": "gauss", "转": "turn", "脉冲": "count", "脉冲数": "count", "个": "count",
 }  # fmt: skip
+_PREFIXES = {"纳": "n", "微": "u", "毫": "m", "百": "h", "千": "k", "兆": "M", "": ""}
+_AS_USUAL = {"turn/min": "rpm"}
+_CHINESE = re.compile("[\u4e00-\u9fff]")
+_LONGEST = 30
+_WORD = re.compile(f"({'|'.join(filter(None, _PREFIXES))})?({'|'.join(sorted(_WORDS, key=len, reverse=True))})")
+_SQUARED = re.compile("(?:二次方|平方)(.+)|(.+?)(?:二次方|平方|²|\\^2|2)")
+_ROOT = re.compile(r"(?:√|根号|根)(?:\((.+)\)|(.+))")
+_LETTERS = re.compile("[A-Za-z°µμΩ]+")
+
+
+@lru_cache(maxsize=4096)
+def chinese_unit(text: str) -> str | None:
+    """A unit of measure in Chinese words, in letters; None where the text is none.
+
+    >>> chinese_unit("度每小时"), chinese_unit("毫度/秒"), chinese_unit("度/√小时"), chinese_unit("米每二次方秒")
+    ('deg/h', 'mdeg/s', 'deg/sqrt(h)', 'm/s^2')
+    >>> chinese_unit("转/分"), chinese_unit("度/h"), chinese_unit("兆欧"), chinese_unit("转台"), chinese_unit("deg/s")
+    ('rpm', 'deg/h', 'Mohm', None, None)
+    """
+    text = "".join(text.split())
+    if len(text) > _LONGEST or _CHINESE.search(text) is None:
+        return None
+    factors = [_factor(each) for each in re.split("[/每]", text)]
+    if None in factors:
+        return None
+    unit = "/".join(map(str, factors))
+    return _AS_USUAL.get(unit, unit)
+
+
+def _factor(text: str) -> str | None:
+    if match := _ROOT.fullmatch(text):
+        inner = _factor(match[1] or match[2])
+        return inner and f"sqrt({inner})"
+    if match := _WORD.fullmatch(text):
+        return _PREFIXES[match[1] or ""] + _WORDS[match[2]]
+    if _LETTERS.fullmatch(text):
+        return text.replace("°", "deg")
+    if match := _SQUARED.fullmatch(text):
+        inner = _factor(match[1] or match[2])
+        return inner and f"{inner}^2"
+    return None

@@ -8,8 +8,10 @@ from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.channel_names import signal_axis
 
-BEFORE = ("", "x", "Y轴", "z_", "table", "motor", "光纤", "ref", "cmd", "转台", "γ", "rate_", "电机")
-MIDDLE = ("rate", "gyro", "gyr", "陀螺", "陀螺仪", "角速率", "陀螺输出", "omega", "ω", "w", "速度", "speed", "转速")
+BEFORE = ("", "x", "Y轴", "z_", "table", "motor", "光纤", "ref", "cmd", "转台", "γ", "rate_", "电机",
+          "Soll-", "Tisch", "目標", "モータ", "target_")  # fmt: skip
+MIDDLE = ("rate", "gyro", "gyr", "陀螺", "陀螺仪", "角速率", "陀螺输出", "omega", "ω", "w", "速度", "speed", "转速",
+          "回転数", "Drehrate", "角速度")  # fmt: skip
 AFTER = ("", "x", "_y", "(Z)", "X轴", "1", "_raw", "_x_filtered", "y方向", "-x", "数值", "_table", "_s", "_true", "_5s")
 
 

@@ -1,10 +1,12 @@
 -- Steps of gyro outputs. `output_unit` is what scale factors are in: deg/s for all rates. A rate that is given or
 -- measured by another instrument is no gyro's output.
 create or replace macro is_instrument_name(signal) as
-  regexp_matches(lower(signal), '^(table|input|chamber|command|cmd|set_?point|vibration|stage|platform|encoder|earth'
-    '|motor|spindle)'
-    '|^(reference|ref|true|truth)(_|$)|^rate_(table|input|command|set_?point|reference|ref|true|truth|[os])$'
-    '|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|温箱|地球|地速|电机)|转速');
+  regexp_matches(lower(signal), '^(table|input|chamber|command|cmd|set_?point|target|demand|desired|vibration|stage'
+    '|platform|encoder|earth|motor|spindle|soll|(dreh)?tisch|drehzahl|vorgabe|referenz|kammer|consigne|plateau)'
+    '|^(reference|ref|true|truth)(_|$)'
+    '|^rate_(table|input|command|set_?point|target|demand|desired|reference|ref|true|truth|[os])$'
+    '|^(转台|台面|台体|速率台|[内中外]框|基准|参考|标准|指令|设定|给定|输入|目标|期望|温箱|地球|地速|电机)|转速'
+    '|^(轉台|速率台|基準|標準|設定|給定|目標|テーブル|モータ)|轉速|回転数');
 
 create or replace macro is_output_name(signal) as
   (regexp_matches(signal, '^rate(_|$)|^gyro(_[xyz])?$') or is_integrated_output(signal)

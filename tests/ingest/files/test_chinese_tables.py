@@ -49,6 +49,19 @@ def test_titles_and_encodings(
     assert "temperature under the name temperature" in remarks  # it is not left out of the metrics in silence
 
 
+def test_units_in_chinese_words_are_put_together(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
+    """Prefixes and powers, as files of other programs have them."""
+    units = {"角速率": "毫度/秒", "漂移": "度/小时/℃", "加速度": "米每二次方秒", "标度": "度/秒/伏",
+             "安装角": "微弧度", "磁场": "纳特斯拉"}  # fmt: skip
+    titles = ["时间(秒)", *(f"{name}({unit})" for name, unit in units.items())]
+    write(tmp_path / "甲.csv", titles, [[str(at)] + [str(at % 7)] * len(units) for at in range(9)])
+    done = gyrofleet("import", "甲.csv", "--unit", "甲-1", "--store", "S", "--json")
+    assert done.code == 0, done.err
+    found = {each["signal"]: each["unit_of_measure"] for each in done.json["files"][0]["signals"]}
+    letters = ["mdeg/s", "deg/h/degC", "m/s^2", "deg/s/V", "urad", "nT"]
+    assert found == dict(zip(units, letters, strict=True))
+
+
 def test_a_unit_with_a_slash_needs_no_brackets(tmp_path: Path, gyrofleet: Callable[..., Any]) -> None:
     ends = {"陀螺输出 °/h": "°/h", "陀螺2 deg/s": "deg/s", "转速 r/min": "rpm", "加计输出 m/s": "m/s",
             "X轴 度/小时": "deg/h", "角速率°/h": "°/h", "gyro output deg/s": "deg/s", "电压/V": "V",
