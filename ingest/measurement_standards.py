@@ -4,7 +4,6 @@ It stands in the station's file and in the details of a run's first document, as
 """
 
 import datetime as dt
-import difflib
 import json
 import math
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ import msgspec
 
 from ingest.standard_units import factor_to_kept
 from stream.errors import BadInput
+from stream.mistakes import similar_names
 
 DETAIL = "standards"  # its key in the details of a run
 # standard uncertainty as a part of the half-width (JCGM 100 4.3.7, 4.3.9, H.1.3.4)
@@ -62,7 +62,7 @@ class StatedUncertainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     def entry(self, quantity: str) -> dict[str, Any]:
         """As it stands in the log, in the unit of the quantity. Raises BadInput if it cannot be meant."""
         if quantity not in QUANTITIES:
-            near = difflib.get_close_matches(quantity, QUANTITIES, n=1)
+            near = similar_names(quantity, QUANTITIES)
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(QUANTITIES)}"
             raise BadInput(f"uncertainty.{quantity}: no such quantity; {hint}")
         mixed = self.distribution if self.half_width is None else self.k

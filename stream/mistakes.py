@@ -18,8 +18,18 @@ _MOST = 20
 
 def near_name(name: str, known: Iterable[str]) -> str:
     """A question after the known name that `name` may be a mistyping of; empty where there is none."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = similar_names(name, known)
     return f", did you mean {near[0]}?" if near else ""
+
+
+def similar_names(name: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Known names that `name` may be a mistyping of, the nearest first; upper and lower case are alike.
+
+    >>> similar_names("fog-1", ["FOG-1", "FOG-12", "ring"], most=2)
+    ['FOG-1', 'FOG-12']
+    """
+    folded = {each.casefold(): each for each in known}
+    return [folded[each] for each in difflib.get_close_matches(name.casefold(), folded, n=most)]
 
 
 @contextmanager

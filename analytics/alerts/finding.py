@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 
@@ -13,6 +13,7 @@ from storage.store import Store
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
 
+Hours = Annotated[float, msgspec.Meta(gt=0.0, le=8784.0)]  # up to a year
 _AGAIN_H = 1 / 60  # a choice that no value is of is looked for by evaluating the store
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, Literal
+from typing import Literal
 
 import msgspec
 
-from analytics.alerts.finding import AlertView, Condition, Finding
+from analytics.alerts.finding import AlertView, Condition, Finding, Hours
 from analytics.metric_registry.registry import check_metrics
 from analytics.trends.series import Choice, MetricSeries, every_series
 from storage.sql.catalog import Catalog
@@ -28,7 +28,7 @@ class MetricCondition(Condition, frozen=True, kw_only=True):
     standard: str | None = None
     product: str | None = None
     parameters: dict[str, str | float | bool] = msgspec.field(default_factory=dict)
-    every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+    every_h: Hours = 1.0
     units: str = "*"
 
     def check(self) -> None:

@@ -1,6 +1,5 @@
 """The registry of metrics: each SQL file in `analytics/metrics` is one, found automatically by its header."""
 
-import difflib
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 from ingest.measurement_standards import QUANTITIES
 from stream.errors import BadInput, GyrofleetError
 from stream.files.own_files import files_of, is_own
+from stream.mistakes import similar_names
 
 _PACKAGE = "analytics.metrics"
 _LINE = re.compile(r"--\s*([a-z]+):\s*(.*\S)\s*")
@@ -244,9 +244,7 @@ def alike(name: str, known: Collection[str], else_: str) -> str:
     >>> alike("FOG-O231", ["FOG-0230", "FOG-0231"], "there are")
     'did you mean FOG-0231?'
     """
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    folded = [each for each in known if each.casefold() == name.casefold()]
-    if folded or near:
-        return f"did you mean {(folded or near)[0]}?"
+    if near := similar_names(name, known):
+        return f"did you mean {near[0]}?"
     names = sorted(known)
     return f"{else_} {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}" if names else "there is none"

@@ -1,6 +1,5 @@
 """The command `gyrofleet check`: what a person found of a unit, entered by hand."""
 
-import difflib
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ import msgspec
 
 from storage.commands.stored_names import RUN, UNIT
 from stream.errors import BadInput
+from stream.mistakes import similar_names
 from stream.security.actor import acting
 from stream.security.rights import Role
 from stream.terminal.console import notes, print_json, reporting, results, store_option
@@ -105,7 +105,7 @@ def _unknown_unit(folder: Path, unit: str) -> str | None:
         )
     if unit in recorded:
         return None
-    near = difflib.get_close_matches(unit, sorted(recorded), n=3, cutoff=0.6)
+    near = similar_names(unit, sorted(recorded), most=3)
     alike = f", which has {', '.join(near)}" if near else ""
     return (
         f"nothing was recorded of unit {unit!r} in {folder}{alike}: is the serial number right? The check is entered; "

@@ -8,7 +8,6 @@ security = "site/recorder/recorder"     # beside this file
 users = "users.toml"
 """
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -18,7 +17,7 @@ import msgspec
 
 from stream.errors import BadInput, BusError, GyrofleetError
 from stream.files.toml_text import decode_toml
-from stream.mistakes import collected, listed
+from stream.mistakes import collected, listed, near_name
 from stream.security.endpoint import parse_endpoint
 from stream.terminal.option_checks import checks_of
 
@@ -131,8 +130,7 @@ def _check_as_role(path: Path, content: Mapping[str, Any], table: str, command: 
 
 
 def _unknown(path: Path, where: str, key: str, known: Mapping[str, object], what: str) -> NoReturn:
-    near = difflib.get_close_matches(key, known, n=1)
-    meant = f", did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+    meant = near_name(key, known) or f"; there are {', '.join(known)}"
     raise BadInput(f"{path}: {where} is not {what}{meant}")
 
 

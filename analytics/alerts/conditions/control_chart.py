@@ -1,12 +1,10 @@
 """A metric over time shows a change, a drift, an outlier, or too many signals."""
 
 from collections.abc import Sequence
-from typing import Annotated
 
-import msgspec
-
-from analytics.alerts.finding import Finding
+from analytics.alerts.finding import Finding, Hours
 from analytics.alerts.metric_condition import GroupName, MetricCondition, key_of
+from analytics.evaluation.table import name_of
 from analytics.loop.bilingual import Bilingual
 from analytics.trends.charts.capability import specified_limits
 from analytics.trends.report import significant
@@ -22,7 +20,7 @@ class ControlChartCondition(MetricCondition, frozen=True, kw_only=True, tag="con
     """
 
     by: GroupName | None = "unit"
-    every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 6.0
+    every_h: Hours = 6.0
 
     def of_series(self, series: Sequence[MetricSeries], catalog: Catalog) -> list[Finding]:
         """The trend of each kind, where it shows something."""
@@ -33,7 +31,8 @@ class ControlChartCondition(MetricCondition, frozen=True, kw_only=True, tag="con
             if sentences:
                 en, zh = " ".join(one.en for one in sentences), "".join(one.zh for one in sentences)
                 text = Bilingual(
-                    f"trend of {each.metric} ({each.variant}): {en}", f"{each.metric}（{each.variant}）的趋势：{zh}"
+                    f"trend of {each.metric} ({each.variant}): {en}",
+                    f"{name_of(each.metric, 'zh')}（{each.variant}）的趋势：{zh}",
                 )
                 found.append(Finding(key_of("control_chart", each, str(self.by)), each.metric, text))
         return found

@@ -7,6 +7,7 @@ import msgspec
 
 from analytics.alerts.finding import Finding
 from analytics.alerts.metric_condition import GroupName, MetricCondition, key_of
+from analytics.evaluation.table import name_of
 from analytics.loop.bilingual import Bilingual
 from analytics.trends.chart_sentences import moment
 from analytics.trends.levels.level_watch import LevelWatch, level_watch
@@ -33,10 +34,10 @@ class LevelChangeCondition(MetricCondition, frozen=True, kw_only=True, tag="leve
             watch = level_watch(part.value)
             if isinstance(watch, LevelWatch) and watch.alarms(self.false_alarm / len(watched)):
                 when, odds = moment(part, watch.at), f"{watch.evidence:.2g}"
-                level = f"{each.metric} ({each.variant})"
+                level, metric = f"{each.metric} ({each.variant})", name_of(each.metric, "zh")
                 text = Bilingual(
                     f"the level of {level} of {name} changes at {when}: {odds} times more probable than a wander",
-                    f"{name} 的 {each.metric}（{each.variant}）水平自 {when} 起变化：其概率为缓慢游走的 {odds} 倍",
+                    f"{name} 的{metric}（{each.variant}）水平自 {when} 起变化：概率为缓慢游走的 {odds} 倍",
                 )
                 unit = part.serial[0] if self.by == "unit" else None
                 changed.append(Finding(key_of("level_change", each, name), name, text, unit=unit))

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from analytics.alerts.finding import AlertView, Condition, Finding
+from analytics.alerts.finding import AlertView, Condition, Finding, Hours
 from analytics.evaluation.reasons import in_chinese
 from analytics.evaluation.table import name_of
 from analytics.loop.bilingual import Bilingual
@@ -25,7 +25,7 @@ class UnitVerdictCondition(Condition, frozen=True, kw_only=True, tag="unit_verdi
     verdicts: Annotated[tuple[Literal["PASS", "FAIL", "MARGINAL", "NO_DATA"], ...], msgspec.Meta(min_length=1)] = (
         "FAIL",
     )
-    every_h: Annotated[float, msgspec.Meta(gt=0.0)] = 0.1
+    every_h: Hours = 0.1
 
     def findings(self, view: AlertView) -> Iterator[Finding]:
         """Units with such a verdict; as before where they are not due."""

@@ -1,6 +1,5 @@
 """The inner page of a certificate: each characteristic with its results, U and k."""
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from analytics.evaluation.type_b import COVERAGE
 from analytics.uncertainty.rounding import round_up
 from storage.specifications.specification import format_parameter
 from stream.errors import BadInput
+from stream.mistakes import similar_names
 
 _CONDITIONS = tomllib.loads(
     files("analytics.certificate.statement").joinpath("conditions.toml").read_text(encoding="utf-8")
@@ -101,7 +101,7 @@ def ordered_rows(rows: Sequence[ResultRow], items: Sequence[str]) -> tuple[Resul
     """
     known = [row.metric for row in rows]
     if unknown := [each for each in items if each not in known]:
-        near = ", ".join(difflib.get_close_matches(unknown[0], known, n=3)) or ", ".join(known)
+        near = ", ".join(similar_names(unknown[0], known, most=3)) or ", ".join(known)
         raise BadInput(f"the order: items has {unknown[0]!r}, which this certificate has not; there is {near}")
     if not items:
         return tuple(rows)

@@ -1,6 +1,5 @@
 """The library of effects, found in the files of this package."""
 
-import difflib
 import functools
 import importlib
 import inspect
@@ -17,6 +16,7 @@ from analytics.loop.effects.temperature import SensorLag
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
 from stream.files.own_files import imported
+from stream.mistakes import similar_names
 
 _PACKAGE = __name__.rpartition(".")[0]
 _NOT_SEARCHED = (TurnOnScatter, StationChange, SensorLag)  # noise, and what is of no unit or beside others only
@@ -67,7 +67,7 @@ def effect(name: str) -> Effect:
             return cls()
     if name.startswith(PREFIX) and len(name) > len(PREFIX):
         return channel_linear(name.removeprefix(PREFIX))
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near = similar_names(name, known, most=3)
     plain = [each for each in known if "*" not in each]
     hint = (
         f"did you mean {', '.join(near)}?" if near else f"known are {', '.join(plain)}, and {PREFIX}NAME of a channel"

@@ -1,7 +1,6 @@
 """An error model as text: ``rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)``."""
 
 import ast
-import difflib
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
@@ -12,6 +11,7 @@ from analytics.loop.effects.monomial import PREFIX
 from analytics.loop.effects.registry import effect, effects
 from stream.channel_names import STANDARD_CHANNELS
 from stream.errors import BadInput
+from stream.mistakes import similar_names
 
 BIAS = "bias"
 
@@ -112,7 +112,7 @@ def _resolved(name: str, channels: Collection[str]) -> str:
             "follows from table_rate and the position of the unit where only these were recorded"
         )
     known = list(dict.fromkeys([BIAS, *(each for each in effects() if "*" not in each), *sorted(channels)]))
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    near = similar_names(name, known, most=3)
     hint = f"did you mean {', '.join(near)}? A" if near else "a"
     raise BadInput(
         f"error model: term {name!r} is not known; {hint} term is {BIAS}, an effect or a channel: {', '.join(known)}"

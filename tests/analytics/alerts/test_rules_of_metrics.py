@@ -105,6 +105,7 @@ def test_each_kind_of_value_is_watched(two_positions: AlertView, kind: type[Metr
     assert len(changed) == 1, [str(each.text) for each in found]
     assert "position=IRA_down" in changed[0].text
     assert "position=IRA_down" in changed[0].text.zh
+    assert "零偏" in changed[0].text.zh
     of_one = kind(metric="bias", parameters={"position": "IRA_up"})
     assert not [each for each in of_one.findings(two_positions) if "IRA_down" in each.text]
 
@@ -141,6 +142,10 @@ def test_an_error_is_computed_again_after_a_minute_not_at_every_look(two_positio
     [
         ('kind = "unit_verdict"\nverdicts = ["ABORTED"]', "there are PASS, FAIL, MARGINAL, NO_DATA"),
         ('kind = "store_noted"\nwhat = ["disk_lo"]', "the store notes no 'disk_lo', did you mean disk_low?"),
+        ('kind = "unit_verdict"\nverdicts = ["pass"]', "did you mean PASS?"),
+        ('kind = "level_change"\nmetric = "Bias"', "there is no metric 'Bias'; did you mean bias?"),
+        ('kind = "level_change"\nmetric = "bias"\nevery_h = inf', "every_h"),
+        ('kind = "control_chart"\nmetric = "bias"\nevery_h = nan', "every_h"),
     ],
 )
 def test_a_word_that_can_never_be_is_refused(tmp_path: Path, run_command: Run, rule: str, why: str) -> None:
