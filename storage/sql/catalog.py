@@ -369,10 +369,13 @@ class Catalog(Closing):
         return cursor.sql(sql, params=parameters).to_arrow_reader(16_384)
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
-        """The batches of a result; QueryError if the statement fails on the way."""
+        """The batches of a result; QueryError if the statement fails on the way, StoreError where a file is damaged."""
         try:
             yield from reader
         except (duckdb.Error, pa.ArrowException, OSError) as error:
+            # arrow has one class for all; an error of a file that DuckDB does not name is of no class of its own
+            if f"{self.source.root}/" in str(error) or str(error).startswith("Invalid Error: "):
+                raise unreadable_lake(self.store, error) from error
             raise QueryError(plain_message(error)) from error
 
     def batches(self, sql: str, parameters: object = None, rows: int = 100_000) -> Iterator[pa.RecordBatch]:

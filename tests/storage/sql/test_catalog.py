@@ -158,6 +158,16 @@ def test_a_file_that_is_broken_when_a_statement_reads_it_is_damage_of_the_lake(c
         catalog.rows("from runs")
 
 
+def test_a_file_that_is_broken_is_damage_of_the_lake_while_rows_stream(catalog: Catalog) -> None:
+    """Batches behind the first ones, as `gyrofleet sql` reads them."""
+    path = catalog.store.lake / read_manifest(catalog.store).parts[-1].name / "samples.parquet"
+    reader = catalog.user_reader("from samples")
+    content = path.read_bytes()
+    path.write_bytes(content[:4] + b"x" * (len(content) // 2) + content[4 + len(content) // 2 :])
+    with pytest.raises(StoreError, match=r"cannot be read .*`gyrofleet recover`"):
+        list(catalog.guarded(reader))
+
+
 def test_a_damaged_lake_is_reported_and_made_anew_from_the_log(catalog: Catalog) -> None:
     store = catalog.store
     part = store.lake / read_manifest(store).parts[0].name
