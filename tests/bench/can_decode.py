@@ -19,7 +19,7 @@ from ingest.can.frames import FrameBlock
 from ingest.can.mapping import CanMapping
 from ingest.can.stream import CanDecoder
 
-DBC = Path(__file__).parents[1] / "ingest" / "can_bench.dbc"
+DBC = Path(__file__).parents[1] / "ingest" / "can" / "can_bench.dbc"
 BLOCK = 10_000
 
 
