@@ -19,8 +19,8 @@ ROW_GROUP = 1_000_000
 _DIGEST_DIGITS = 16  # enough against accidents
 # who asks for one channel reads its row groups whole, as do a hundred channels' rollups of some minutes
 _ROLLUP_ROWS = 16_384
-# pages of 20,000 rows, the library's choice, make a file of noise 4 % larger: zstd takes 128 KiB at once, in which stand
-# planes of bytes one after the other; level 5 splits them
+# pages of 20,000 rows, the library's choice, make a file of noise 4 % larger: zstd takes 128 KiB at once, in which
+# planes of bytes stand one after the other; level 5 splits them
 _PAGE_ROWS, _LEVELS = 262_144, {"samples": 5}
 # a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
 SMALL_ROWS, SHARED_ROWS = 4096, 65_536
