@@ -29,7 +29,7 @@ create or replace macro internal.samples_in(paths) as table
 select
   c.unit, c.signal, c.run,
   make_timestamp_ns(s.t_ns) as "time",
-  -- a sixth of the time of a question about all samples less than coalesce, and floats added less than integers
+  -- in a question to all samples `case` takes a sixth less time than `coalesce`, with sums of floats
   case when s.base is not null then (s.base::double + s.above) * c.scale + c."offset" else s.value end as value,
   c.unit_of_measure,
   s.base + s.above as counts,
